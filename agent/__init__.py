@@ -1,0 +1,53 @@
+"""DQN agents that learn side by side, and what they keep on disk.
+
+| module | holds |
+|---|---|
+| `config` | the configuration's schema and checks |
+| `network` | the flat layout of a network, first weights, the forward used to act |
+| `replay` | transitions as packed rows in a ring |
+| `exploration` | the epsilon schedule and random choices |
+| `losses` | TD targets and the Huber loss |
+| `backprop` | forward and backward of stacked agents, by hand |
+| `learner` | weights, gradients and Adam of stacked agents |
+| `dqn` | `DQN`: the above as n agents that act, learn, save and go on |
+| `streams` | a random stream's state as an array |
+| `storage` | atomic checkpoints and digests |
+| `threads` | one thread of arithmetic per process |
+
+Nothing here knows of the environment or of Flower, and no global random state is touched.
+"""
+
+from agent.config import AgentConfig, DiscountConfig, EpsilonConfig, TargetConfig, problems
+from agent.dqn import DQN
+from agent.exploration import NO_ACTION, epsilon_at
+from agent.network import NetworkShape, q_values
+from agent.storage import (
+    CheckpointError,
+    checkpoints,
+    digest,
+    load_checkpoint,
+    save_checkpoint,
+)
+from agent.streams import generator_state, restore_generator
+from agent.threads import single_threaded
+
+__all__ = [
+    "DQN",
+    "NO_ACTION",
+    "AgentConfig",
+    "CheckpointError",
+    "DiscountConfig",
+    "EpsilonConfig",
+    "NetworkShape",
+    "TargetConfig",
+    "checkpoints",
+    "digest",
+    "epsilon_at",
+    "generator_state",
+    "load_checkpoint",
+    "problems",
+    "q_values",
+    "restore_generator",
+    "save_checkpoint",
+    "single_threaded",
+]

@@ -1,0 +1,204 @@
+"""One gradient step's arithmetic for agents that stand side by side, by hand.
+
+Activations are feature-major, [n, features + 1, B]: the batch is the contiguous axis, so every
+product has full vector width, and the best action is found by element-wise maxima. The last
+feature is a constant 1 that meets the bias row of the weights. The forward of s with the online
+network and that of s' with the target are one stacked product.
+
+Small products run in NumPy, which has the lower cost per call; large ones in torch, whose
+library is faster (measured with 2 x 64 and 2 x 128 units). Which one is a matter of a layer's
+size alone and each product is one agent's, so an agent's bits do not depend on its neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import torch
+
+from agent.config import AgentConfig
+from agent.losses import double_dqn_values, dqn_values, huber, td_target
+from agent.network import FloatArray, NetworkShape
+from agent.replay import RowLayout
+
+_ALIGNMENT = 16  # floats: one cache line
+_TORCH_FROM = 1 << 20  # multiply-adds of a product that torch does sooner than NumPy ...
+_TORCH_GRADIENT_FROM = 1 << 17  # ... and of one that sums over the batch
+_FLOAT_BYTES = 4
+_relu_backward = torch.ops.aten.threshold_backward.grad_input
+
+Step = Callable[[], object]
+
+
+def aligned_zeros(agents: int, *shape: int) -> torch.Tensor:
+    """Zeros in which each agent's part starts on a cache line.
+
+    An agent's numbers then lie alike whether it is alone or one of many; vectorised loops may
+    depend on alignment.
+
+    Args:
+        agents: n.
+        shape: of one agent's part.
+
+    Returns:
+        A view of shape (n, *shape), contiguous within an agent's part.
+    """
+    size = int(np.prod(shape))
+    padded = -(-size // _ALIGNMENT) * _ALIGNMENT
+    return torch.zeros(agents, padded)[:, :size].view(agents, *shape)
+
+
+class Forward:
+    """The forward of stacked networks on feature-major inputs, into buffers of its own.
+
+    Attributes:
+        activations: what each layer reads, a constant 1 last; shapes
+            (n, passes, features + 1, B).
+        inputs: the first layer's part to fill, shape (n, passes, inputs, B).
+        q: the result, shape (n, passes, actions, B).
+    """
+
+    def __init__(self, shape: NetworkShape, weights: torch.Tensor, batch_size: int) -> None:
+        """Plans the forward of networks whose rows are `weights`, shape (n, passes, P)."""
+        agents, passes = weights.shape[:2]
+        widths = (shape.inputs, *shape.hidden)
+        self.activations = [aligned_zeros(agents, passes, w + 1, batch_size) for w in widths]
+        for activation in self.activations:
+            activation[:, :, -1] = 1
+        q = aligned_zeros(agents, passes, shape.actions, batch_size)
+        self.inputs: FloatArray = self.activations[0][:, :, :-1].numpy()
+        self.q: FloatArray = q.numpy()
+        self._steps: list[Step] = []
+        outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), q]
+        for matrix, activation, output in zip(
+            shape.matrices(weights), self.activations, outputs, strict=True
+        ):
+            self._steps.append(_product(matrix.mT, activation, output, _TORCH_FROM))
+            if output is not q:
+                self._steps.append(partial(torch.relu_, output))
+
+    def run(self) -> None:
+        """Computes `q` from `inputs`."""
+        for step in self._steps:
+            step()
+
+
+class Span:
+    """Neighbouring agents that learn together: their buffers and views, made once."""
+
+    def __init__(
+        self,
+        shape: NetworkShape,
+        config: AgentConfig,
+        discount: float,
+        weights: torch.Tensor,
+        gradient: torch.Tensor,
+        batch: FloatArray,
+    ) -> None:
+        """Prepares buffers.
+
+        Args:
+            shape: of the networks.
+            config: how they learn.
+            discount: of these agents; 0 spares the next states' forward.
+            weights: their online and target networks, shape (n, 2, P).
+            gradient: where the online networks' gradient goes, shape (n, P).
+            batch: where their sampled transitions will stand, shape (n, B, row width).
+        """
+        agents, size = batch.shape[:2]
+        passes = 2 if discount else 1
+        self._config, self._discount = config, discount
+        self._layout, self._batch, self._size = RowLayout(shape.inputs), batch, size
+        states = batch[:, :, : passes * shape.inputs]
+        self._states = states.reshape(agents, size, passes, shape.inputs).transpose(0, 2, 3, 1)
+        self._forward = Forward(shape, weights[:, :passes], size)
+        self._chooser = Forward(shape, weights[:, :1], size) if config.double and discount else None
+        slope = self._plan_backward(shape, weights[:, 0], gradient)
+        self._flat_q, self._q_at = _flat(self._forward.q)
+        self._flat_slope, self._slope_at = _flat(slope.numpy())
+
+    def _plan_backward(
+        self, shape: NetworkShape, online: torch.Tensor, gradient: torch.Tensor
+    ) -> torch.Tensor:
+        """Lists the steps from the loss's slope at the last layer, which it returns, to the first.
+
+        The slopes have shape (n, outputs, B).
+        """
+        agents = online.shape[0]
+        widths = (*shape.hidden, shape.actions)
+        slopes = [aligned_zeros(agents, width, self._size) for width in widths]
+        weights, gradients = shape.matrices(online), shape.matrices(gradient)
+        self._backward: list[Step] = []
+        for depth in reversed(range(len(widths))):
+            read, slope = self._forward.activations[depth][:, 0], slopes[depth]
+            self._backward.append(_product(read, slope.mT, gradients[depth], _TORCH_GRADIENT_FROM))
+            if depth > 0:
+                before, hidden = slopes[depth - 1], read[:, :-1]
+                self._backward.append(_product(weights[depth][:, :-1], slope, before, _TORCH_FROM))
+                self._backward.append(partial(_relu_backward, before, hidden, 0, grad_input=before))
+        return slopes[-1]
+
+    def run(self) -> FloatArray:
+        """Computes the gradient on the batch that stands in its place.
+
+        Returns:
+            Each agent's mean loss, shape (n,).
+        """
+        np.copyto(self._forward.inputs, self._states)
+        self._forward.run()
+        action = self._batch[:, :, self._layout.action].astype(np.intp)
+        action *= self._size
+        error = self._flat_q.take(action + self._q_at)
+        error -= self._targets()
+        losses, slope = huber(error, self._config.huber_delta)
+        slope *= 1 / self._size
+        self._flat_slope.fill(0)
+        self._flat_slope[action + self._slope_at] = slope
+        for step in self._backward:
+            step()
+        mean: FloatArray = losses.mean(axis=1)
+        return mean
+
+    def _targets(self) -> FloatArray:
+        """TD targets of the batch, shape (n, B)."""
+        rewards = self._batch[:, :, self._layout.reward]
+        if not self._discount:
+            return rewards
+        target_q = self._forward.q[:, 1]
+        if self._chooser is None:
+            values = dqn_values(target_q)
+        else:
+            self._chooser.inputs[:, 0] = self._forward.inputs[:, 1]
+            self._chooser.run()
+            values = double_dqn_values(self._chooser.q[:, 0], target_q)
+        terminal = self._batch[:, :, self._layout.terminal]
+        return td_target(rewards, terminal, values, self._discount)
+
+
+def _product(left: torch.Tensor, right: torch.Tensor, out: torch.Tensor, torch_from: int) -> Step:
+    """Plans ``out = left @ right`` for stacks of matrices that keep their places."""
+    rows, inner, columns = *left.shape[-2:], right.shape[-1]
+    if rows * inner * columns < torch_from:
+        return partial(np.matmul, left.numpy(), right.numpy(), out=out.numpy())
+    stack = out.shape[:-2]
+    parts = [(left[at], right[at], out[at]) for at in np.ndindex(*stack)]
+
+    def one_by_one() -> None:
+        for a, b, c in parts:
+            torch.mm(a, b, out=c)
+
+    return one_by_one
+
+
+def _flat(part: FloatArray) -> tuple[FloatArray, np.ndarray[tuple[int, int], np.dtype[np.intp]]]:
+    """Agents' (..., B) parts as one flat view, and the place of each sample's first feature.
+
+    Returns:
+        The view, padding included, and places of shape (n, B).
+    """
+    stride = part.strides[0] // _FLOAT_BYTES
+    flat = np.lib.stride_tricks.as_strided(part, (part.shape[0] * stride,), (_FLOAT_BYTES,))
+    first = np.arange(part.shape[0])[:, None] * stride
+    return flat, first + np.arange(part.shape[-1])

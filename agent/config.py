@@ -1,0 +1,129 @@
+"""What an agent can be told: the schema of the Hydra group ``agent`` and its checks.
+
+The defaults are Section 4 of the specification: the values the paper gives, and, where it
+gives none, those measured on the prototype.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+Problem = tuple[str, object, str]
+
+WIDEST_LAYER = 4096
+
+
+@dataclass(frozen=True)
+class DiscountConfig:
+    """How much an agent values the next slot; 0 learns the immediate reward alone."""
+
+    robot: float = 0.8
+    ap: float = 0.0
+
+
+@dataclass(frozen=True)
+class TargetConfig:
+    """When the target network follows the online one.
+
+    ``every`` counts an agent's own stored transitions between copies. A ``tau`` replaces the
+    copies by a soft target, moved by that share at every update.
+    """
+
+    every: int = 100
+    tau: float | None = None
+
+
+@dataclass(frozen=True)
+class EpsilonConfig:
+    """Linear exploration schedule over the run's first ticks."""
+
+    start: float = 1.0
+    end: float = 0.05
+    ticks: int = 10_000
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """A DQN agent: its network, its replay and how it learns."""
+
+    hidden: list[int] = field(default_factory=lambda: [64, 64])
+    learning_rate: float = 1e-4
+    batch_size: int = 128
+    replay_size: int = 50_000
+    learn_from: int = 128
+    double: bool = False
+    huber_delta: float = 1.0
+    reward_scale: float = 0.1
+    discount: DiscountConfig = field(default_factory=DiscountConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
+    epsilon: EpsilonConfig = field(default_factory=EpsilonConfig)
+
+
+def problems(config: AgentConfig) -> list[Problem]:
+    """Lists what is wrong with a configuration.
+
+    Args:
+        config: the agent's configuration.
+
+    Returns:
+        One (key, value, sentence saying what is allowed) for each bad value or combination.
+    """
+    return [*_network(config), *_learning(config), *_replay(config), *_schedules(config)]
+
+
+def _network(config: AgentConfig) -> Iterator[Problem]:
+    widths = list(config.hidden)
+    if not widths or not all(_is_integer(w) and 1 <= w <= WIDEST_LAYER for w in widths):
+        yield (
+            "agent.hidden",
+            widths,
+            f"must list at least one layer, each 1 to {WIDEST_LAYER} units wide",
+        )
+
+
+def _learning(config: AgentConfig) -> Iterator[Problem]:
+    for key in ("learning_rate", "huber_delta", "reward_scale"):
+        value = getattr(config, key)
+        if not (math.isfinite(value) and value > 0):
+            yield f"agent.{key}", value, "must be a finite number above 0"
+    for key in ("robot", "ap"):
+        value = getattr(config.discount, key)
+        if not 0 <= value < 1:
+            yield f"agent.discount.{key}", value, "must be at least 0 and below 1"
+
+
+def _replay(config: AgentConfig) -> Iterator[Problem]:
+    for key in ("batch_size", "replay_size", "learn_from"):
+        value = getattr(config, key)
+        if not _is_integer(value) or value < 1:
+            yield f"agent.{key}", value, "must be a whole number of at least 1"
+    for key in ("batch_size", "learn_from"):
+        value = getattr(config, key)
+        if value > config.replay_size:
+            yield f"agent.{key}", value, f"must be at most agent.replay_size={config.replay_size}"
+
+
+def _schedules(config: AgentConfig) -> Iterator[Problem]:
+    target, epsilon = config.target, config.epsilon
+    if not _is_integer(target.every) or target.every < 1:
+        yield "agent.target.every", target.every, "must be a whole number of at least 1"
+    if target.tau is not None and not 0 < target.tau <= 1:
+        yield "agent.target.tau", target.tau, "must be null, or above 0 and at most 1"
+    for key in ("start", "end"):
+        value = getattr(epsilon, key)
+        if not 0 <= value <= 1:
+            yield f"agent.epsilon.{key}", value, "must be from 0 to 1"
+    if epsilon.end > epsilon.start:
+        yield (
+            "agent.epsilon.end",
+            epsilon.end,
+            f"must be at most agent.epsilon.start={epsilon.start}",
+        )
+    if not _is_integer(epsilon.ticks) or epsilon.ticks < 1:
+        yield "agent.epsilon.ticks", epsilon.ticks, "must be a whole number of at least 1"
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)

@@ -1,0 +1,130 @@
+"""Checkpoints on disk: one safetensors file each, with its metadata as JSON in the header.
+
+A checkpoint appears whole or not at all: it is written beside its place, flushed, renamed, and
+its folder flushed. A digest in the header shows later damage. Nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
+Arrays = dict[str, NDArray[np.generic]]
+
+KEPT = 2
+_NAME = re.compile(r"checkpoint-(\d{12})\.safetensors")
+
+
+class CheckpointError(Exception):
+    """A checkpoint that is missing, cut short or changed."""
+
+
+def digest(weights: NDArray[np.floating]) -> str:
+    """SHA-256 of weights as little-endian float32 in C order.
+
+    Args:
+        weights: any shape.
+
+    Returns:
+        64 hexadecimal digits.
+    """
+    return hashlib.sha256(np.ascontiguousarray(weights, "<f4").tobytes()).hexdigest()
+
+
+def save_checkpoint(
+    folder: Path, step: int, arrays: Mapping[str, NDArray[np.generic]], meta: Mapping[str, Json]
+) -> Path:
+    """Writes a checkpoint atomically and drops those before the one that precedes it.
+
+    Checkpoints of later steps, left by a run that went back, stay.
+
+    Args:
+        folder: made if need be.
+        step: at least 0; an existing checkpoint of that step is replaced.
+        arrays: by name.
+        meta: anything JSON can hold.
+
+    Returns:
+        The file.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    text = json.dumps(dict(meta), sort_keys=True, allow_nan=False)
+    path = _path(folder, step)
+    written = path.with_suffix(".writing")
+    with written.open("wb") as file:
+        file.write(save(contiguous, {"meta": text, "sha256": _seal(step, contiguous, text)}))
+        file.flush()
+        os.fsync(file.fileno())
+    written.replace(path)
+    _flush_folder(folder)
+    for old in [s for s in checkpoints(folder) if s <= step][:-KEPT]:
+        _path(folder, old).unlink()
+    return path
+
+
+def checkpoints(folder: Path) -> list[int]:
+    """Steps of the checkpoints in a folder, ascending; none if there is no such folder."""
+    if not folder.is_dir():
+        return []
+    return sorted(int(m[1]) for m in map(_NAME.fullmatch, os.listdir(folder)) if m)
+
+
+def load_checkpoint(folder: Path, step: int) -> tuple[Arrays, dict[str, Json]]:
+    """Reads a checkpoint.
+
+    Args:
+        folder: where it was saved.
+        step: which.
+
+    Returns:
+        Its arrays and its metadata.
+
+    Raises:
+        CheckpointError: it is missing, cut short or changed; others are not affected.
+    """
+    path = _path(folder, step)
+    try:
+        with safe_open(path, framework="np") as file:
+            header = file.metadata() or {}
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except FileNotFoundError as error:
+        raise CheckpointError(f"there is no checkpoint {path}") from error
+    except (SafetensorError, OSError) as error:
+        raise CheckpointError(f"checkpoint {path} is cut short or damaged: {error}") from error
+    text = header.get("meta", "")
+    if header.get("sha256") != _seal(step, arrays, text):
+        raise CheckpointError(f"checkpoint {path} was changed: its digest does not match")
+    return arrays, json.loads(text)
+
+
+def _path(folder: Path, step: int) -> Path:
+    return folder / f"checkpoint-{step:012d}.safetensors"
+
+
+def _seal(step: int, arrays: Mapping[str, NDArray[np.generic]], meta: str) -> str:
+    """SHA-256 over step, metadata, and every array's name, type, shape and bytes."""
+    seal = hashlib.sha256(f"{step}\n{meta}\n".encode())
+    for name in sorted(arrays):
+        array = arrays[name]
+        seal.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        seal.update(array.tobytes())
+    return seal.hexdigest()
+
+
+def _flush_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

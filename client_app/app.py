@@ -1,0 +1,87 @@
+"""The ClientApp: wraps robots' DQNs and their slices of the environment for one round."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from flwr.app import Array, ArrayRecord, ConfigRecord, Context, Message, MetricRecord, RecordDict
+from flwr.clientapp import ClientApp
+
+from agent import single_threaded
+from client_app.robots import RobotGroup
+from client_app.state import load_state, save_state
+from conf import Config, fingerprint, from_yaml
+from env.link.client import serve
+
+app = ClientApp()
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the ServerApp asks of a client in a round.
+
+    Attributes:
+        config: the run's configuration.
+        robots: the robots that this client holds.
+        tokens: a secret for each of them, for this round.
+        address: where the link is.
+        window: the windows that have been played before this round.
+    """
+
+    config: Config
+    robots: tuple[int, ...]
+    tokens: Sequence[str]
+    address: tuple[str, int]
+    window: int
+
+    @classmethod
+    def read(cls, record: ConfigRecord) -> Order:
+        """Reads the order out of a train message."""
+        return cls(
+            config=from_yaml(str(record["config"])),
+            robots=tuple(int(robot) for robot in record["robots"]),  # type: ignore[union-attr]
+            tokens=[str(token) for token in record["tokens"]],  # type: ignore[union-attr]
+            address=(str(record["host"]), int(record["port"])),  # type: ignore[arg-type]
+            window=int(record["window"]),  # type: ignore[arg-type]
+        )
+
+
+@app.train()
+def train(message: Message, context: Context) -> Message:
+    """Serves one round of windows and replies with the robots' weights."""
+    single_threaded()
+    began = time.process_time()
+    order = Order.read(message.content.config_records["order"])
+    group = RobotGroup(order.config, order.robots)
+    folder = state_folder(order.config, context)
+    if order.window:
+        load_state(group, folder, order.window)
+    model = message.content.array_records["arrays"].get("model")
+    if model is not None:
+        group.download(order.window, model.numpy())
+    serve(
+        order.address,
+        order.robots,
+        order.tokens,
+        group,
+        fingerprint=fingerprint(),
+        timeout_s=order.config.federation.link.timeout_s,
+        n_parameters=group.parameters,
+    )
+    save_state(group, folder, group.window)
+    content = RecordDict(
+        {
+            "arrays": ArrayRecord({"robots": Array(group.upload())}),
+            "metrics": MetricRecord({"cpu_s": time.process_time() - began}),
+        }
+    )
+    return Message(content=content, reply_to=message)
+
+
+def state_folder(config: Config, context: Context) -> Path:
+    """Where this node keeps its robots' state: ``state-dir`` of its node config, or the run's."""
+    given = context.node_config.get("state-dir")
+    return Path(str(given)) if given else Path(str(config.run.dir)) / "state"

@@ -1,0 +1,85 @@
+"""Robots as the link knows them: handlers of messages with no loop of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import DQN, epsilon_at
+from conf import Config, robot_network
+from env.link.messages import Flag, Step, Want
+from env.seeding import Stream, stream
+from env.slice import Slice
+from env.world import draw_destinations
+
+
+class RobotGroup:
+    """n robots, each a DQN with its slice of the environment, stacked in one learner.
+
+    Told an outcome, they learn and answer their next actions; asked for their weights, they give
+    them; given new ones, they take them. How robots are grouped changes no bit of any of them.
+
+    Args:
+        config: the run's configuration.
+        robots: which robots these are, indices below K.
+
+    Attributes:
+        robots: the same.
+        agents: their DQNs.
+        parameters: P, of one network.
+        window: the window of the last step.
+    """
+
+    def __init__(self, config: Config, robots: Sequence[int]) -> None:
+        self.robots = tuple(robots)
+        self._epsilon = config.agent.epsilon
+        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
+        self._slice = Slice(config.env, destinations[list(robots)])
+        self.agents = DQN(
+            robot_network(config),
+            config.agent,
+            config.agent.discount.robot,
+            [stream(config.seed, Stream.ROBOT, robot) for robot in robots],
+            proximal_mu=config.strategy.proximal_mu,
+        )
+        self.parameters = self.agents.shape.parameters
+        self.window = 0
+        self._cell = np.zeros(len(robots), dtype=np.int32)
+        self._observation = np.zeros((len(robots), self._slice.observation_size), np.float32)
+        self._action = np.zeros(len(robots), dtype=np.int32)
+
+    def step(self, step: Step) -> NDArray[np.int32] | None:
+        """Learns from the outcome that a step carries and answers the actions that it wants."""
+        self.window = step.window
+        updates = step.updates
+        flags = updates["flags"]
+        learning = (flags & Flag.OUTCOME) != 0
+        if learning.any():
+            self._learn(updates, learning, (flags & Flag.ARRIVED) != 0)
+        self._cell = updates["cell"]
+        self._observation = self._slice.observe(self._cell, updates["channel_db"])
+        if step.want is not Want.ACTIONS:
+            return None
+        epsilon = epsilon_at(self._epsilon, step.tick)
+        self._action = self.agents.act(self._observation, epsilon, (flags & Flag.DRIVING) != 0)
+        return self._action
+
+    def _learn(
+        self, updates: np.ndarray, learning: NDArray[np.bool_], arrived: NDArray[np.bool_]
+    ) -> None:
+        reached = updates["outcome_cell"]
+        reward = self._slice.reward(updates["rate"], self._cell, reached, arrived)
+        following = self._slice.observe(reached, updates["outcome_channel_db"])
+        self.agents.learn(
+            self._observation, self._action, reward, following, arrived, learning
+        )
+
+    def upload(self) -> NDArray[np.float32]:
+        """Online and target weights of each robot, float32, shape (n, 2, P)."""
+        return self.agents.weights()
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """Takes the global model of a window, float32, shape (2, P)."""
+        self.agents.load(weights)

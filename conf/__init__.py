@@ -1,0 +1,23 @@
+"""Hydra configuration: the YAML groups, their schema, and how a run's configuration is composed."""
+
+from conf.compose import ConfigError, compose, from_node, from_yaml, problems, to_yaml
+from conf.fingerprint import fingerprint, version
+from conf.networks import ap_network, robot_network
+from conf.schema import Config, StrategyConfig, flower_clients, windows_per_round
+
+__all__ = [
+    "Config",
+    "ConfigError",
+    "StrategyConfig",
+    "ap_network",
+    "compose",
+    "fingerprint",
+    "flower_clients",
+    "from_node",
+    "from_yaml",
+    "problems",
+    "robot_network",
+    "to_yaml",
+    "version",
+    "windows_per_round",
+]

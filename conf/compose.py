@@ -1,0 +1,249 @@
+"""From Hydra overrides to a checked configuration, with one clear sentence for each mistake."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from agent.config import problems as agent_problems
+from conf.schema import Config
+from env.config import Problem
+from env.config import problems as env_problems
+
+FOLDER = Path(__file__).parent
+GROUPS = ("env", "agent", "strategy", "runtime", "experiment")
+
+
+class ConfigError(ValueError):
+    """A mistake of the user's: the message names the key, the value and what is allowed."""
+
+    @classmethod
+    def of(cls, found: Sequence[Problem]) -> ConfigError:
+        """The error for a list of problems, a sentence each."""
+        return cls("\n".join(f"{key}={_shown(value)}: allowed is {say}." for key, value, say in found))
+
+
+def register_schema() -> None:
+    """Makes the dataclasses known to Hydra as the node ``schema``; safe to call again."""
+    ConfigStore.instance().store(name="schema", node=_schema_node())
+
+
+def _schema_node() -> DictConfig:
+    """The schema as a node that can still be merged into: frozen dataclasses make it read-only."""
+    node = OmegaConf.structured(Config)
+    _set_writable(node)
+    return node
+
+
+def _set_writable(node: Any) -> None:
+    if isinstance(node, DictConfig):
+        OmegaConf.set_readonly(node, None)
+        for key in node:
+            _set_writable(node._get_node(key))
+
+
+def compose(overrides: Sequence[str] = ()) -> Config:
+    """Builds the configuration that Hydra overrides describe.
+
+    Args:
+        overrides: such as ``env.robots=4`` or ``strategy=krum``.
+
+    Returns:
+        The configuration, checked.
+
+    Raises:
+        ConfigError: a wrong key, value or combination.
+    """
+    check_overrides(overrides)
+    register_schema()
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(FOLDER), version_base="1.3", job_name="risfleet"):
+        try:
+            node = hydra_compose("config", overrides=list(overrides))
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(_first_sentence(error)) from error
+    return from_node(node)
+
+
+def from_node(node: DictConfig) -> Config:
+    """Turns a composed node into a checked configuration.
+
+    Raises:
+        ConfigError: a wrong value or combination.
+    """
+    try:
+        values = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+        config = OmegaConf.to_object(OmegaConf.merge(_schema_node(), values))
+    except OmegaConfBaseException as error:
+        raise ConfigError(_first_sentence(error)) from error
+    assert isinstance(config, Config)
+    found = problems(config)
+    if found:
+        raise ConfigError.of(found)
+    return config
+
+
+def to_yaml(config: Config) -> str:
+    """The whole configuration as YAML."""
+    return OmegaConf.to_yaml(OmegaConf.structured(config))
+
+
+def from_yaml(text: str) -> Config:
+    """Reads what ``to_yaml`` wrote.
+
+    Raises:
+        ConfigError: it does not fit this version's schema.
+    """
+    node = OmegaConf.create(text)
+    if not isinstance(node, DictConfig):
+        raise ConfigError("the configuration is no mapping of keys to values.")
+    return from_node(node)
+
+
+def problems(config: Config) -> list[Problem]:
+    """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
+    return [
+        *_run_problems(config),
+        *env_problems(config.env),
+        *agent_problems(config.agent),
+    ]
+
+
+def _run_problems(config: Config) -> list[Problem]:
+    federation, robots = config.federation, config.env.robots
+    clients_say = f"a number from 1 to env.robots={robots}, or null"
+    checks: list[tuple[str, Any, bool, str]] = [
+        ("seed", config.seed, config.seed >= 0, "a number of at least 0"),
+        ("train.episodes", config.train.episodes, config.train.episodes >= 1, "at least 1"),
+        ("train.max_ticks", config.train.max_ticks, _at_least_one(config.train.max_ticks),
+         "a number of at least 1, or null"),
+        ("federation.every", federation.every, 1 <= federation.every <= 1_000_000,
+         "a number from 1 to 1000000"),
+        ("federation.windows_per_round", federation.windows_per_round,
+         _at_least_one(federation.windows_per_round), "a number of at least 1, or null"),
+        ("federation.clients", federation.clients,
+         federation.clients is None or 1 <= federation.clients <= robots, clients_say),
+        ("federation.link.port", federation.link.port, 0 <= federation.link.port <= 65535,
+         "a port from 1 to 65535, or 0 for any that is free"),
+        ("federation.link.timeout_s", federation.link.timeout_s, federation.link.timeout_s > 0,
+         "a number of seconds above 0"),
+        ("runtime.start_timeout_s", config.runtime.start_timeout_s,
+         config.runtime.start_timeout_s > 0, "a number of seconds above 0"),
+        ("evaluation.every", config.evaluation.every, config.evaluation.every >= 1, "at least 1"),
+        ("evaluation.episodes", config.evaluation.episodes,
+         1 <= config.evaluation.episodes <= 100_000, "a number from 1 to 100000"),
+        ("evaluation.epsilon", config.evaluation.epsilon, 0 <= config.evaluation.epsilon <= 1,
+         "a number from 0 to 1"),
+    ]
+    return [(key, value, say) for key, value, fine, say in checks if not fine]
+
+
+def _at_least_one(value: int | None) -> bool:
+    return value is None or value >= 1
+
+
+def check_overrides(overrides: Sequence[str]) -> None:
+    """Checks each override by itself: its form, its key, and its value's type.
+
+    Raises:
+        ConfigError: names the first mistake.
+    """
+    for text in overrides:
+        try:
+            override = OverridesParser.create().parse_override(text)
+        except HydraException as error:
+            raise ConfigError(f"{text!r} is not of the form key=value.") from error
+        key = override.key_or_group
+        if key.startswith("hydra"):
+            continue
+        if override.is_delete() or override.is_add() and not override.is_force_add():
+            raise ConfigError(f"{text!r}: keys can be neither added nor deleted, only set: key=value.")
+        if key in GROUPS:
+            _check_choice(key, override)
+        elif override.is_sweep_override():
+            _check_key(key)
+        else:
+            _check_value(key, override)
+
+
+def _check_choice(group: str, override: Override) -> None:
+    choices = sorted(path.stem for path in (FOLDER / group).glob("*.yaml"))
+    values = list(override.sweep_string_iterator()) if override.is_sweep_override() else None
+    for value in values or [override.value()]:
+        if value not in choices and not (group == "experiment" and value in (None, "null")):
+            raise ConfigError.of([(group, value, f"one of {', '.join(choices)}")])
+
+
+def _check_key(key: str) -> Any:
+    """The default value at a key."""
+    value: Any = Config()
+    for depth, name in enumerate(parts := key.split(".")):
+        names = [f.name for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+        if name not in names:
+            above = ".".join(parts[:depth])
+            raise ConfigError(_unknown_key(key, [f"{above}.{n}" if above else n for n in names]))
+        value = getattr(value, name)
+    return value
+
+
+def _check_value(key: str, override: Override) -> None:
+    default = _check_key(key)
+    if dataclasses.is_dataclass(default):
+        raise ConfigError(f"{key} is a group of keys: set one of them, such as "
+                          f"{key}.{dataclasses.fields(default)[0].name}.")
+    node = _schema_node()
+    try:
+        OmegaConf.update(node, key, override.value())
+    except OmegaConfBaseException as error:
+        if default is None:
+            kind = "a whole number" if "int" in _first_sentence(error).lower() else "a value"
+            kind += " or null"
+        else:
+            kind = _KINDS.get(type(default), "a value of another type")
+        raise ConfigError.of([(key, override.value(), kind)]) from error
+
+
+_KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a name",
+    list: "a list such as [64,64]",
+}
+
+
+def _unknown_key(key: str, siblings: Sequence[str]) -> str:
+    every = [*_all_keys(Config()), *GROUPS]
+    close = difflib.get_close_matches(key, every, n=3, cutoff=0.6)
+    if close:
+        return f"{key} is no key: did you mean {' or '.join(close)}?"
+    return f"{key} is no key: allowed here are {', '.join(siblings) or 'no further keys'}."
+
+
+def _all_keys(value: Any, above: str = "") -> list[str]:
+    keys: list[str] = []
+    for item in dataclasses.fields(value):
+        inner, key = getattr(value, item.name), f"{above}{item.name}"
+        keys += _all_keys(inner, f"{key}.") if dataclasses.is_dataclass(inner) else [key]
+    return keys
+
+
+def _shown(value: Any) -> str:
+    return "null" if value is None else str(value)
+
+
+def _first_sentence(error: Exception) -> str:
+    return str(error).strip().splitlines()[0]

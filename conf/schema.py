@@ -1,0 +1,99 @@
+"""The schema of a run: one frozen dataclass for each group of ``conf/``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from agent.config import AgentConfig
+from env.config import EnvConfig
+
+
+@dataclass(frozen=True)
+class StrategyConfig:
+    """How the robots' weights become one."""
+
+    name: str = "fedavg"
+    proximal_mu: float = 0.0  # mu, fedprox
+    malicious: int = 0  # f, krum: how many robots may upload anything at all
+
+
+@dataclass(frozen=True)
+class RuntimeConfig:
+    """Where the agents run."""
+
+    name: str = "local"
+    start_timeout_s: float = 180.0  # until every Flower client has joined
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """When a run ends: at the first window boundary after either limit."""
+
+    episodes: int = 300  # N_e
+    max_ticks: int | None = None
+
+
+@dataclass(frozen=True)
+class LinkConfig:
+    """The lockstep link between the ServerApp and the robots."""
+
+    host: str = "127.0.0.1"
+    port: int = 0  # 0 picks a free one
+    timeout_s: float = 60.0  # longest wait for one answer
+
+
+@dataclass(frozen=True)
+class FederationConfig:
+    """How robots are dealt to Flower clients and how often weights are averaged."""
+
+    every: int = 25  # N_F in ticks, Table I
+    windows_per_round: int | None = None
+    clients: int | None = None
+    link: LinkConfig = field(default_factory=LinkConfig)
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """Evaluation of frozen weights while training and at the end."""
+
+    every: int = 10  # in training episodes
+    episodes: int = 50
+    epsilon: float = 0.05
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """What a run leaves behind, and where."""
+
+    dir: str | None = None
+    figures: bool = True
+    tensorboard: bool = True
+
+
+@dataclass(frozen=True)
+class Config:
+    """A whole run."""
+
+    seed: int = 0
+    env: EnvConfig = field(default_factory=EnvConfig)
+    agent: AgentConfig = field(default_factory=AgentConfig)
+    strategy: StrategyConfig = field(default_factory=StrategyConfig)
+    runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+    federation: FederationConfig = field(default_factory=FederationConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    run: RunConfig = field(default_factory=RunConfig)
+
+
+DEFAULT_WINDOWS_PER_ROUND = 100
+DEFAULT_CLIENTS = 4
+
+
+def windows_per_round(config: Config) -> int:
+    """Windows that one Flower train message covers."""
+    return config.federation.windows_per_round or DEFAULT_WINDOWS_PER_ROUND
+
+
+def flower_clients(config: Config) -> int:
+    """Flower clients that the robots are dealt to."""
+    return config.federation.clients or min(config.env.robots, DEFAULT_CLIENTS)

@@ -1,0 +1,86 @@
+"""Downlink NOMA: decoding order, decodability, rates. Pure functions with a leading batch.
+
+Everything here is in *rank order*: along the last axis, strongest channel first. Ranks past the
+robots that are served have power 0, add nothing, and get rate 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def decoding_order(gain: NDArray[np.float64], served: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The robots from the strongest channel to the weakest, |h_1| >= ... >= |h_K|.
+
+    Args:
+        gain: |h_k|^2, shape (..., K).
+        served: whether a robot is served in this slot, shape (..., K).
+
+    Returns:
+        Robot at each rank, shape (..., K); ties by robot index, robots not served last.
+    """
+    return np.argsort(np.where(served, -gain, np.inf), axis=-1, kind="stable")
+
+
+def sic_margins(
+    gain: NDArray[np.float64], power_w: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Delta_k of Eq. (2): how far signal k stands out at robot k-1.
+
+    Args:
+        gain: |h_k|^2 by rank, shape (..., K).
+        power_w: p_k in W by rank, shape (..., K).
+
+    Returns:
+        Delta_k in W for k = 2..K, shape (..., K-1).
+    """
+    stronger = np.cumsum(power_w, axis=-1)[..., :-1]
+    return np.asarray((power_w[..., 1:] - stronger) * gain[..., :-1])
+
+
+def sic_failures(
+    gain: NDArray[np.float64],
+    power_w: NDArray[np.float64],
+    served: NDArray[np.bool_],
+    margin_w: float,
+) -> NDArray[np.bool_]:
+    """Which signals break Eq. (2), so that stronger robots cannot cancel them.
+
+    Args:
+        gain: |h_k|^2 by rank, shape (..., K).
+        power_w: p_k in W by rank, shape (..., K).
+        served: whether a rank is served, shape (..., K).
+        margin_w: rho_min in W.
+
+    Returns:
+        True where Delta_k < rho_min, shape (..., K); never at the strongest rank.
+    """
+    failed = np.zeros(np.broadcast_shapes(gain.shape, power_w.shape), dtype=bool)
+    failed[..., 1:] = (sic_margins(gain, power_w) < margin_w) & served[..., 1:]
+    return failed
+
+
+def downlink_rates(
+    gain: NDArray[np.float64],
+    power_w: NDArray[np.float64],
+    noise_w: float,
+    residual: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float64]:
+    """NOMA rates after successive interference cancellation, Eq. (3).
+
+    Args:
+        gain: |h_k|^2 by rank, shape (..., K).
+        power_w: p_k in W by rank, shape (..., K).
+        noise_w: sigma^2 in W.
+        residual: signals that stronger robots cannot cancel, shape (..., K): their power then
+            stays as interference at every stronger rank. None: all are cancelled.
+
+    Returns:
+        R_k in bit/s/Hz by rank, shape (..., K).
+    """
+    interference = np.cumsum(power_w, axis=-1) - power_w
+    if residual is not None:
+        left = np.where(residual, power_w, 0.0)
+        interference = interference + left[..., ::-1].cumsum(axis=-1)[..., ::-1] - left
+    return np.log2(1.0 + gain * power_w / (gain * interference + noise_w))

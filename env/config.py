@@ -1,0 +1,290 @@
+"""The schema of the group ``env``: every physical constant and every switch of the model.
+
+Values are the defaults of ``docs/assumptions.md``; "Table I" is the paper's table of parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+Problem = tuple[str, Any, str]
+"""A key, the value it has, and what is allowed there."""
+
+
+@dataclass(frozen=True)
+class RoomConfig:
+    """The floor: a rectangle with a corner at the origin, cut into square cells."""
+
+    width_m: float = 30.0
+    depth_m: float = 30.0
+    cell_m: float = 0.5  # Delta_S, Table I
+
+
+@dataclass(frozen=True)
+class WallsConfig:
+    """Full-height walls, each ``[x0, y0, x1, y1]`` in m. They shade radio links."""
+
+    segments: list[Any] = field(default_factory=lambda: [[0.0, 15.0, 21.0, 15.0]])
+
+
+@dataclass(frozen=True)
+class AccessPointConfig:
+    """The access point."""
+
+    position_m: list[float] = field(default_factory=lambda: [15.0, 30.0, 2.0])
+
+
+@dataclass(frozen=True)
+class RisConfig:
+    """The reconfigurable intelligent surface: M = side^2 elements in N sub-surfaces."""
+
+    position_m: list[float] = field(default_factory=lambda: [30.0, 7.5, 2.0])
+    side: int = 30  # M_R; 0 is no RIS
+    subsurfaces: int = 1  # N
+    bits: int = 2  # b; N_R = 2^b phases
+    response: str = "coherent"
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """How robots move and what moving costs."""
+
+    speed_mps: float = 0.5  # v, Table I
+    energy_per_m_j: float = 7.4  # E_1, Table I
+    idle_power_w: float = 0.29  # E_2, Table I
+    antenna_height_m: float = 1.0
+    max_slots: int = 150  # T_max = T_e
+
+
+@dataclass(frozen=True)
+class TasksConfig:
+    """Where robots start and where they are going.
+
+    The first K of ``destinations_m`` are used; where there are fewer, further ones are drawn, at
+    least ``destination_spacing_m`` apart from all others.
+    """
+
+    destinations_m: list[Any] = field(
+        default_factory=lambda: [[27.25, 12.25], [4.25, 10.25], [22.25, 2.25], [26.25, 24.25]]
+    )
+    destination_spacing_m: float = 5.0
+    start_distance_m: float = 10.0
+
+
+@dataclass(frozen=True)
+class ChannelConfig:
+    """Path loss and fading of 3GPP TR 38.901, indoor hotspot."""
+
+    frequency_ghz: float = 2.4
+    rician_k_db: float = 7.0
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """Thermal noise: sigma^2 = density times bandwidth."""
+
+    density_dbm_per_hz: float = -100.0  # N_0
+    bandwidth_hz: float = 1.0
+
+
+@dataclass(frozen=True)
+class PowerConfig:
+    """Downlink power: levels P_max / 2^l for l = 1..levels."""
+
+    levels: int = 6  # N_P
+    max_dbm: float = 20.0  # P_max
+    resolve: str = "project"
+    sic_margin: float = 10.0  # rho_min in multiples of sigma^2
+
+
+@dataclass(frozen=True)
+class StateConfig:
+    """What agents observe beyond the paper's position and direct channel."""
+
+    destination: str = "offset"
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Weights of the robots' and the access point's rewards."""
+
+    rate: float = 0.05  # phi
+    guidance: float = 3.0  # psi
+    time: float = -1.0  # R_time, Table I
+    goal: float = 100.0  # R_goal, Table I
+    sum_rate: float = 0.1  # tau_1, Table I
+    global_offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """The world of one run."""
+
+    robots: int = 3  # K
+    map_seed: int = 0
+    access: str = "noma"
+    metric: str = "qos"
+    room: RoomConfig = field(default_factory=RoomConfig)
+    walls: WallsConfig = field(default_factory=WallsConfig)
+    ap: AccessPointConfig = field(default_factory=AccessPointConfig)
+    ris: RisConfig = field(default_factory=RisConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    tasks: TasksConfig = field(default_factory=TasksConfig)
+    channel: ChannelConfig = field(default_factory=ChannelConfig)
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    power: PowerConfig = field(default_factory=PowerConfig)
+    state: StateConfig = field(default_factory=StateConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+
+
+MAX_ROBOTS = 64
+MAX_POWER_LEVELS = 48  # sums of the levels stay exact in float64
+MAX_PHASE_ACTIONS = 4096
+CHOICES: dict[str, tuple[str, ...]] = {
+    "env.access": ("noma",),
+    "env.metric": ("qos",),
+    "env.ris.response": ("coherent",),
+    "env.power.resolve": ("project", "residual", "zero"),
+    "env.state.destination": ("offset", "none"),
+}
+
+
+def problems(config: EnvConfig) -> list[Problem]:
+    """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
+    found = [*_choice_problems(config), *_range_problems(config)]
+    if not found:
+        found += [*_geometry_problems(config), *_combination_problems(config)]
+    return found
+
+
+def _value(config: EnvConfig, key: str) -> Any:
+    value: Any = config
+    for name in key.split(".")[1:]:
+        value = getattr(value, name)
+    return value
+
+
+def _choice_problems(config: EnvConfig) -> list[Problem]:
+    return [
+        (key, _value(config, key), f"one of {', '.join(allowed)}")
+        for key, allowed in CHOICES.items()
+        if _value(config, key) not in allowed
+    ]
+
+
+def _range_problems(config: EnvConfig) -> list[Problem]:
+    positive = (
+        "env.room.width_m",
+        "env.room.depth_m",
+        "env.room.cell_m",
+        "env.motion.speed_mps",
+        "env.motion.idle_power_w",
+        "env.channel.frequency_ghz",
+        "env.noise.bandwidth_hz",
+    )
+    not_negative = (
+        "env.map_seed",
+        "env.ris.side",
+        "env.motion.energy_per_m_j",
+        "env.motion.antenna_height_m",
+        "env.tasks.destination_spacing_m",
+        "env.tasks.start_distance_m",
+        "env.power.sic_margin",
+    )
+    between: dict[str, tuple[float, float]] = {
+        "env.robots": (1, MAX_ROBOTS),
+        "env.ris.side": (0, 256),
+        "env.ris.bits": (1, 12),
+        "env.ris.subsurfaces": (1, 65536),
+        "env.power.levels": (1, MAX_POWER_LEVELS),
+        "env.power.max_dbm": (-60, 60),
+        "env.motion.max_slots": (1, 1_000_000),
+        "env.room.width_m": (1, 1000),
+        "env.room.depth_m": (1, 1000),
+    }
+    found: list[Problem] = []
+    for key in positive:
+        if not _value(config, key) > 0:
+            found.append((key, _value(config, key), "a number above 0"))
+    for key in not_negative:
+        if not _value(config, key) >= 0:
+            found.append((key, _value(config, key), "a number of at least 0"))
+    for key, (low, high) in between.items():
+        if not low <= _value(config, key) <= high:
+            found.append((key, _value(config, key), f"a number from {low:g} to {high:g}"))
+    return found
+
+
+def _geometry_problems(config: EnvConfig) -> list[Problem]:
+    room = config.room
+    found: list[Problem] = []
+    for key, side in (("env.room.width_m", room.width_m), ("env.room.depth_m", room.depth_m)):
+        cells = side / room.cell_m
+        if abs(cells - round(cells)) > 1e-9 or round(cells) < 2:
+            found.append((key, side, f"a multiple of env.room.cell_m={room.cell_m}, at least two"))
+    for key, position in (
+        ("env.ap.position_m", config.ap.position_m),
+        ("env.ris.position_m", config.ris.position_m),
+    ):
+        if not _numbers(position, 3) or not _inside(room, position, closed=True) or position[2] < 0:
+            found.append((key, position, "[x, y, z] in m inside the room or on its edge"))
+    for segment in config.walls.segments:
+        if not _numbers(segment, 4) or segment[:2] == segment[2:]:
+            found.append(("env.walls.segments", segment, "segments [x0, y0, x1, y1] in m"))
+    return found + _destination_problems(config)
+
+
+def _destination_problems(config: EnvConfig) -> list[Problem]:
+    key = "env.tasks.destinations_m"
+    room = config.room
+    seen: set[tuple[int, ...]] = set()
+    found: list[Problem] = []
+    for destination in config.tasks.destinations_m:
+        if not _numbers(destination, 2) or not _inside(room, destination):
+            allowed = f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
+            found.append((key, destination, allowed))
+            continue
+        cell = tuple(int(x // room.cell_m) for x in destination)
+        if cell in seen:
+            found.append((key, destination, "destinations in cells of their own"))
+        seen.add(cell)
+    return found
+
+
+def _numbers(value: Any, count: int) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == count
+        and all(isinstance(x, int | float) and math.isfinite(x) for x in value)
+    )
+
+
+def _inside(room: RoomConfig, position: Sequence[float], *, closed: bool = False) -> bool:
+    x, y = position[:2]
+    if closed:
+        return 0 <= x <= room.width_m and 0 <= y <= room.depth_m
+    return 0 <= x < room.width_m and 0 <= y < room.depth_m
+
+
+def _combination_problems(config: EnvConfig) -> list[Problem]:
+    found: list[Problem] = []
+    ris, power = config.ris, config.power
+    if ris.side**2 % ris.subsurfaces:
+        allowed = f"a divisor of the {ris.side**2} elements that env.ris.side={ris.side} gives"
+        found.append(("env.ris.subsurfaces", ris.subsurfaces, allowed))
+    elif ris.bits * ris.subsurfaces > MAX_PHASE_ACTIONS.bit_length() - 1:
+        allowed = (
+            f"at most {MAX_PHASE_ACTIONS} phase settings: with env.ris.bits={ris.bits}"
+            f" that is {(MAX_PHASE_ACTIONS.bit_length() - 1) // ris.bits} sub-surfaces or fewer"
+        )
+        found.append(("env.ris.subsurfaces", ris.subsurfaces, allowed))
+    if power.resolve == "project" and power.levels < config.robots:
+        allowed = (
+            f"at least env.robots={config.robots} with env.power.resolve=project, since NOMA gives"
+            " each robot a level of its own (residual and zero allow fewer)"
+        )
+        found.append(("env.power.levels", power.levels, allowed))
+    return found

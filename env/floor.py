@@ -1,0 +1,126 @@
+"""The floor plan: cells, walls, lines of sight and shortest lengths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.config import EnvConfig
+
+DIRECTIONS = ("n", "s", "e", "w")
+STEPS = np.array([(0, 1), (0, -1), (1, 0), (-1, 0)])
+"""Change of (column, row) for each direction, shape (4, 2)."""
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A rectangular floor of square cells; cell ``c`` is column ``c % columns`` of its row.
+
+    Attributes:
+        columns: cells along x.
+        rows: cells along y.
+        cell_m: side of a cell, Delta_S.
+        walls: segments, shape (W, 4), each x0, y0, x1, y1 in m.
+    """
+
+    columns: int
+    rows: int
+    cell_m: float
+    walls: NDArray[np.float64]
+
+    @classmethod
+    def from_config(cls, config: EnvConfig) -> Floor:
+        """The floor that a configuration describes."""
+        room = config.room
+        walls = np.asarray(config.walls.segments, dtype=np.float64).reshape(-1, 4)
+        return cls(
+            round(room.width_m / room.cell_m), round(room.depth_m / room.cell_m), room.cell_m, walls
+        )
+
+    @property
+    def cells(self) -> int:
+        """The number of cells."""
+        return self.columns * self.rows
+
+    @property
+    def size_m(self) -> NDArray[np.float64]:
+        """Width and depth, shape (2,)."""
+        return np.array([self.columns, self.rows]) * self.cell_m
+
+    def centres(self) -> NDArray[np.float64]:
+        """The centre of each cell in m, shape (cells, 2)."""
+        cell = np.arange(self.cells)
+        return (np.stack([cell % self.columns, cell // self.columns], axis=-1) + 0.5) * self.cell_m
+
+    def cell_at(self, position_m: NDArray[np.float64]) -> NDArray[np.int64]:
+        """The cell that holds a position.
+
+        Args:
+            position_m: x and y in m, shape (..., 2), inside the room.
+
+        Returns:
+            Cell indices, shape (...).
+
+        Raises:
+            ValueError: a position lies outside the room.
+        """
+        index = np.floor(np.asarray(position_m) / self.cell_m).astype(np.int64)
+        if (index < 0).any() or (index >= (self.columns, self.rows)).any():
+            raise ValueError(f"position {position_m} lies outside the room of {self.size_m} m")
+        return np.asarray(index[..., 1] * self.columns + index[..., 0])
+
+    def neighbours(self) -> NDArray[np.int64]:
+        """The cell that each move leads to, shape (cells, 4); out of the room is where one was."""
+        cell = np.arange(self.cells)
+        place = np.stack([cell % self.columns, cell // self.columns], axis=-1)
+        moved = place[:, None, :] + STEPS
+        inside = ((moved >= 0) & (moved < (self.columns, self.rows))).all(axis=-1)
+        return np.where(inside, moved[..., 1] * self.columns + moved[..., 0], cell[:, None])
+
+    def shortest_slots(
+        self, start: NDArray[np.int64], destination: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Fewest slots between cells: the Manhattan length in cells, broadcast shape."""
+        columns = np.abs(start % self.columns - destination % self.columns)
+        rows = np.abs(start // self.columns - destination // self.columns)
+        return np.asarray(columns + rows)
+
+
+def line_of_sight(
+    end_m: NDArray[np.float64], points_m: NDArray[np.float64], walls: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether the ground projection of a link crosses no wall.
+
+    A link that touches a wall, its end included, is blocked.
+
+    Args:
+        end_m: the common end of all links, at least x and y in m, shape (2,) or (3,).
+        points_m: the other ends, shape (P, 2).
+        walls: segments, shape (W, 4) in m.
+
+    Returns:
+        True where the link is in line of sight, shape (P,).
+    """
+    if not len(walls):
+        return np.ones(len(points_m), dtype=bool)
+    end = np.asarray(end_m)[:2]
+    a, b = walls[:, :2], walls[:, 2:]
+    point = points_m[:, None, :]
+    # Each segment's ends lie on both sides of (or on) the other segment's line.
+    d1, d2 = _side(a, b, end), _side(a, b, point)
+    d3, d4 = _side(end, point, a), _side(end, point, b)
+    crosses = (d1 * d2 <= 0) & (d3 * d4 <= 0)
+    # In line with a wall, both products are 0: they cross where their extents overlap.
+    low = np.maximum(np.minimum(a, b), np.minimum(end, point))
+    high = np.minimum(np.maximum(a, b), np.maximum(end, point))
+    return np.asarray(~(crosses & (low <= high).all(axis=-1)).any(axis=-1))
+
+
+def _side(
+    start: NDArray[np.float64], stop: NDArray[np.float64], point: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """On which side of the line start-stop a point lies: the sign of a cross product."""
+    along, to = stop - start, point - start
+    return np.asarray(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])

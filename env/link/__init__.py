@@ -1,0 +1,1 @@
+"""The lockstep link between the world and the robots' clients: calls, or frames over TCP."""

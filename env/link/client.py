@@ -1,0 +1,168 @@
+"""The client's end of the link over TCP: serves a handler's robots to the server."""
+
+import logging
+import socket
+import ssl
+import time
+from collections.abc import Sequence
+
+from env.link.errors import (
+    FrameError,
+    LinkTimeout,
+    Refused,
+    ServerLost,
+    described,
+)
+from env.link.frames import decode, encode
+from env.link.interface import Robots, answer
+from env.link.layout import TEXT_SIZE, step_size, weights_size
+from env.link.messages import (
+    VERSION,
+    Actions,
+    Failure,
+    Hello,
+    Message,
+    Step,
+    Want,
+    Weights,
+    Welcome,
+    checked_weights,
+)
+from env.link.messages import Refused as RefusedMessage
+from env.link.wire import Wire
+
+log = logging.getLogger(__name__)
+
+
+def serve(
+    address: tuple[str, int],
+    robots: Sequence[int],
+    tokens: Sequence[str],
+    handler: Robots,
+    *,
+    fingerprint: str,
+    timeout_s: float,
+    n_parameters: int,
+    client_context: ssl.SSLContext | None = None,
+) -> None:
+    """Serve one round: returns once the handler has taken the step that wants a FAREWELL.
+
+    Args:
+        address: host and port of the server.
+        robots: the robots that the handler holds, in its order.
+        tokens: a secret for each of them, in the same order.
+        handler: the robots.
+        fingerprint: of the software; the server must have the same.
+        timeout_s: the longest wait for the server, in s.
+        n_parameters: P, of one network.
+        client_context: for TLS; none, no TLS.
+
+    Raises:
+        Refused: the server does not let this client in.
+        ServerLost: the server has gone, or never came.
+        LinkTimeout: the server has said nothing for `timeout_s`.
+        FrameError: the server has said what it must not.
+    """
+    hello = encode(Hello(VERSION, fingerprint, list(robots), list(tokens)))
+    sock = _connected(address, timeout_s, client_context)
+    try:
+        limit = max(TEXT_SIZE, step_size(len(robots)), weights_size((2, n_parameters)))
+        line = _Line(Wire(sock, limit), timeout_s)
+        line.say(hello)
+        answer = line.hear()
+        if isinstance(answer, RefusedMessage):
+            raise Refused(answer.reason)
+        if not isinstance(answer, Welcome):
+            raise FrameError(f"{type(answer).__name__} where a welcome is due")
+        try:
+            _converse(line, handler, len(robots), n_parameters)
+        except ServerLost:
+            raise
+        except BaseException as error:
+            line.wire.finish(encode(Failure(described(error))), linger_s=1.0)
+            raise
+    finally:
+        sock.close()
+
+
+class _Line:
+    """Messages from and to the server, and what it means when they stop."""
+
+    def __init__(self, wire: Wire, timeout_s: float) -> None:
+        """A line over a socket that has this timeout."""
+        self.wire, self._timeout_s = wire, timeout_s
+
+    def hear(self) -> Message:
+        """The server's next message; its arrays are the caller's to keep."""
+        try:
+            frame = self.wire.receive()
+        except TimeoutError as error:
+            raise LinkTimeout(f"no word from the server for {self._timeout_s:g} s") from error
+        except (OSError, EOFError) as error:
+            raise ServerLost(f"the server has gone: {described(error)}") from error
+        if frame is None:
+            raise ServerLost("the server has gone")
+        return decode(bytearray(frame))
+
+    def say(self, frame: bytes) -> None:
+        """Send a frame."""
+        try:
+            self.wire.send(frame, self._timeout_s)
+        except OSError as error:
+            raise ServerLost(f"the server has gone: {described(error)}") from error
+
+
+def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
+    """Serve steps until the farewell."""
+    uploaded = -1
+    while True:
+        message = line.hear()
+        if isinstance(message, Step):
+            if len(message.updates) != count:
+                raise FrameError(f"a step for {len(message.updates)} robots, not {count}")
+            given = answer(handler, message, n_parameters)
+            if given is None:
+                return
+            if message.want is Want.ACTIONS:
+                uploaded = -1
+                line.say(encode(Actions(message.tick, given)))
+            else:
+                uploaded = message.window
+                line.say(encode(Weights(message.window, given)))
+        elif isinstance(message, Weights) and message.window == uploaded:
+            weights = checked_weights(message.weights, (2, n_parameters))
+            handler.download(message.window, weights)
+            uploaded = -1
+        elif isinstance(message, Failure):
+            raise ServerLost(f"the server has stopped: {message.reason}")
+        else:
+            raise FrameError(f"{type(message).__name__} out of turn")
+
+
+def _connected(
+    address: tuple[str, int], timeout_s: float, context: ssl.SSLContext | None
+) -> socket.socket:
+    """A connection to the server, tried again and again until the deadline."""
+    deadline = time.monotonic() + timeout_s
+    pause = 0.05
+    while True:
+        rest = max(0.05, deadline - time.monotonic())
+        try:
+            sock = socket.create_connection(address, timeout=rest)
+            break
+        except OSError as error:
+            if time.monotonic() + pause >= deadline:
+                where = f"{address[0]}:{address[1]}"
+                raise ServerLost(f"no connection to {where}: {described(error)}") from error
+            log.debug("no connection yet: %s", described(error))
+        time.sleep(pause)
+        pause = min(1.0, 2 * pause)
+    sock.settimeout(timeout_s)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if context is None:
+        return sock
+    try:
+        return context.wrap_socket(sock, server_hostname=address[0])
+    except OSError as error:
+        sock.close()
+        raise ServerLost(f"no TLS with the server: {described(error)}") from error

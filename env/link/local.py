@@ -1,0 +1,95 @@
+"""The link within one process: the same conversation, as calls."""
+
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.link.errors import LinkError, RobotFailed, described
+from env.link.interface import Robots, Turn, answer
+from env.link.messages import (
+    Step,
+    Want,
+    checked_updates,
+    checked_weights,
+    robot_count,
+    rows_of,
+)
+
+_T = TypeVar("_T", bound=np.generic)
+
+
+class LocalFleet:
+    """A `Fleet` of handlers in this process, called one after the other.
+
+    Handlers see the same calls as over TCP. What one of them raises comes out as `RobotFailed`,
+    at once and not only where its answer is asked for.
+    """
+
+    def __init__(self, handlers: Sequence[tuple[tuple[int, ...], Robots]]) -> None:
+        """A fleet that has not been told anything yet.
+
+        Args:
+            handlers: each with the robots that it holds; together 0..K-1.
+        """
+        self._robots = robot_count([block for block, _ in handlers])
+        self._handlers = [(tuple(block), rows_of(block), handler) for block, handler in handlers]
+        self._turn = Turn()
+        self._answers: list[NDArray[Any] | None] = []
+        self._parameters: int | None = None
+        self._closed = False
+
+    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
+        """See `Fleet.tell`."""
+        self._check_open()
+        checked_updates(updates, self._robots)
+        self._turn.told(tick, window, want)
+        answers = self._answers = []
+        for block, rows, handler in self._handlers:
+            step = Step(tick, window, want, updates[rows].copy())
+            try:
+                given = answer(handler, step, self._parameters)
+            except Exception as error:
+                raise RobotFailed(block, str(self._turn), described(error)) from error
+            if want is Want.WEIGHTS and given is not None:
+                self._parameters = given.shape[-1]
+            answers.append(given)
+
+    def actions(self, tick: int) -> NDArray[np.int32]:
+        """See `Fleet.actions`."""
+        self._check_open()
+        self._turn.acting(tick)
+        return self._gathered(np.empty(self._robots, np.int32))
+
+    def upload(self, window: int) -> NDArray[np.float32]:
+        """See `Fleet.upload`."""
+        self._check_open()
+        self._turn.uploading(window)
+        return self._gathered(np.empty((self._robots, 2, self._parameters or 0), np.float32))
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """See `Fleet.download`."""
+        self._check_open()
+        checked_weights(weights, (2, self._parameters or 0))
+        self._turn.downloading(window)
+        for block, _, handler in self._handlers:
+            try:
+                handler.download(window, weights.copy())
+            except Exception as error:
+                raise RobotFailed(block, str(self._turn), described(error)) from error
+
+    def close(self) -> None:
+        """See `Fleet.close`."""
+        self._closed = True
+
+    def _gathered(self, result: NDArray[_T]) -> NDArray[_T]:
+        """The answers, in robot order."""
+        for (_, rows, _), given in zip(self._handlers, self._answers, strict=True):
+            assert given is not None
+            result[rows] = given
+        return result
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise LinkError("the link is closed")

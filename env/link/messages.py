@@ -1,0 +1,169 @@
+"""What travels on the link.
+
+| message | from | carries | answer |
+|---|---|---|---|
+| `Hello` | client | version, fingerprint, robots, a token for each | `Welcome` or `Refused` |
+| `Step` | server | outcome of a tick, observation of the next, what is wanted | see `Want` |
+| `Actions` | client | an action for each robot, -1 where it is not driving | the next `Step` |
+| `Weights` | client | upload: (n, 2, P), online then target, of each robot | `Weights` or `Step` |
+| `Weights` | server | download: (2, P), the global model | none; a `Step` follows |
+| `Failure` | either | one line: why this side stops | none |
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+VERSION = 1
+MAX_ROBOTS = 256
+
+UPDATE = np.dtype(
+    [
+        ("flags", "<u2"),
+        ("outcome_cell", "<i4"),
+        ("outcome_channel_db", "<f4"),
+        ("rate", "<f8"),
+        ("cell", "<i4"),
+        ("channel_db", "<f4"),
+    ]
+)
+"""One robot's record in a `Step`: packed, little-endian, 26 bytes."""
+
+
+class Flag(IntFlag):
+    """Bits of a record's `flags`."""
+
+    OUTCOME = 1
+    """The record carries an outcome to learn from."""
+    ARRIVED = 2
+    """The robot arrived in that outcome."""
+    DRIVING = 4
+    """An action is wanted for the observation."""
+
+
+class Want(IntEnum):
+    """What the server expects next."""
+
+    ACTIONS = 0
+    """An action for each robot."""
+    WEIGHTS = 1
+    """An upload over the link."""
+    FAREWELL = 2
+    """Nothing: the round ends, and the weights travel in the Flower reply."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """The outcome of one tick and the observation of the next, for n robots."""
+
+    tick: int
+    window: int
+    want: Want
+    updates: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Actions:
+    """The answers to a step: int32 (n,), -1 where a robot is not driving."""
+
+    tick: int
+    actions: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """Weights of a window: float32 (n, 2, P) up, (2, P) down."""
+
+    window: int
+    weights: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """A client's first words."""
+
+    version: int
+    fingerprint: str
+    robots: list[int]
+    tokens: list[str]
+
+    def __repr__(self) -> str:
+        """Without the tokens, which no log may hold."""
+        return f"Hello(version={self.version}, robots={self.robots})"
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome:
+    """The client is in."""
+
+    version: int = VERSION
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The client is not let in."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why this side stops."""
+
+    reason: str
+
+
+Message = Step | Actions | Weights | Hello | Welcome | Refused | Failure
+
+
+def robot_count(blocks: Sequence[Sequence[int]]) -> int:
+    """K, once it is certain that the blocks deal each of the robots 0..K-1 to one client.
+
+    Args:
+        blocks: the robots of each client.
+
+    Raises:
+        ValueError: a robot is missing, doubled or negative, or a block is empty.
+    """
+    robots = sorted(robot for block in blocks for robot in block)
+    if not all(blocks) or robots != list(range(len(robots))) or not 1 <= len(robots) <= MAX_ROBOTS:
+        raise ValueError(
+            f"blocks {[tuple(block) for block in blocks]} must hold each robot from 0 to K-1 once "
+            f"(K at most {MAX_ROBOTS}), and none may be empty"
+        )
+    return len(robots)
+
+
+def rows_of(block: Sequence[int]) -> slice | NDArray[np.intp]:
+    """The index that picks a block's rows: a slice where the robots are neighbours."""
+    if list(block) == list(range(block[0], block[0] + len(block))):
+        return slice(block[0], block[0] + len(block))
+    return np.array(block, np.intp)
+
+
+def checked_updates(updates: np.ndarray, count: int) -> np.ndarray:
+    """The records, if there is one for each robot."""
+    if updates.dtype != UPDATE or updates.shape != (count,):
+        raise ValueError(f"updates must be UPDATE records of shape ({count},)")
+    return updates
+
+
+def checked_actions(actions: object, count: int) -> NDArray[np.int32]:
+    """A handler's actions, if they are int32 of shape (n,)."""
+    if not isinstance(actions, np.ndarray):
+        raise TypeError(f"actions must be an int32 array, not {type(actions).__name__}")
+    if actions.dtype != np.int32 or actions.shape != (count,):
+        raise ValueError(f"actions {actions.dtype}{actions.shape} must be int32({count},)")
+    return actions
+
+
+def checked_weights(weights: object, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Weights, if they are float32 of the shape that was agreed; they are never cast."""
+    if not isinstance(weights, np.ndarray):
+        raise TypeError(f"weights must be a float32 array, not {type(weights).__name__}")
+    if weights.dtype != np.float32 or weights.shape != shape:
+        raise ValueError(f"weights {weights.dtype}{weights.shape} must be float32{shape}")
+    return weights

@@ -1,0 +1,35 @@
+"""A client's place in a round."""
+
+from dataclasses import dataclass
+
+from env.link.frames import StepWriter
+from env.link.layout import TEXT_SIZE, actions_size, weights_size
+from env.link.messages import rows_of
+from env.link.wire import Wire
+
+
+@dataclass(slots=True)
+class BlockStats:
+    """What one client has cost so far, over all rounds."""
+
+    bytes_sent: int = 0
+    bytes_received: int = 0
+    frames_sent: int = 0
+    frames_received: int = 0
+    waited_s: float = 0.0
+
+
+class Seat:
+    """One client's place in the round, whether or not it is taken."""
+
+    def __init__(self, block: tuple[int, ...], shape: tuple[int, int], stats: BlockStats) -> None:
+        """A free seat for the client that holds the robots of `block`."""
+        self.block = block
+        self.rows = rows_of(block)
+        self.steps = StepWriter(len(block))
+        self.upload_shape = (len(block), *shape)
+        self.limit = max(TEXT_SIZE, actions_size(len(block)), weights_size(self.upload_shape))
+        self.stats = stats
+        self.wire: Wire | None = None
+        self.outbox: bytes | bytearray = b""
+        self.awaited = False

@@ -1,0 +1,84 @@
+"""Rewards and energy: pure functions, Eqs. (4), (8) and (11) of the paper."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.config import MotionConfig, RewardConfig
+
+
+def distance_m(
+    position_m: NDArray[np.float64], destination_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """d_{D,k}: the Euclidean distance to the destination in m, shape (...) of (..., 2)."""
+    offset = destination_m - position_m
+    return np.sqrt(offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1])
+
+
+def local_reward(
+    rate: NDArray[np.float64],
+    before_m: NDArray[np.float64],
+    after_m: NDArray[np.float64],
+    arrived: NDArray[np.bool_],
+    weights: RewardConfig,
+) -> NDArray[np.float64]:
+    """A robot's reward: phi R_k + psi (d^{t-1} - d^t) + R_time + R_goal, Eq. (11).
+
+    Args:
+        rate: R_k in bit/s/Hz in the slot, any shape.
+        before_m: distance to the destination before the move, in m.
+        after_m: distance after it, in m.
+        arrived: whether this move reached the destination.
+        weights: phi, psi, R_time and R_goal.
+
+    Returns:
+        The reward, of the broadcast shape.
+    """
+    guidance = weights.guidance * (before_m - after_m)
+    return weights.rate * rate + guidance + weights.time + np.where(arrived, weights.goal, 0.0)
+
+
+def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArray[np.float64]:
+    """The access point's reward: tau_1 sum_k R_k (plus an offset, 0 by default), Eq. (8).
+
+    Args:
+        sum_rate: sum_k R_k in bit/s/Hz, any shape.
+        weights: tau_1 and the offset.
+
+    Returns:
+        The reward, same shape.
+    """
+    return weights.sum_rate * sum_rate + weights.global_offset
+
+
+def motion_energy_j(travel_s: NDArray[np.float64], motion: MotionConfig) -> NDArray[np.float64]:
+    """Energy of driving for T_k seconds: E_1 T_k v + E_2 T_k, Eq. (4).
+
+    Args:
+        travel_s: T_k in s, any shape.
+        motion: E_1, E_2 and v.
+
+    Returns:
+        E_k in J, same shape.
+    """
+    return (motion.energy_per_m_j * motion.speed_mps + motion.idle_power_w) * travel_s
+
+
+def energy_efficiency(
+    rate_sum: NDArray[np.float64], slots: NDArray[np.int64], slot_s: float, motion: MotionConfig
+) -> NDArray[np.float64]:
+    """Energy efficiency of an episode, the objective (5a): sum_k (1/T_k) sum_t R_k^t / E_k.
+
+    Args:
+        rate_sum: sum over t of R_k^t in bit/s/Hz, shape (..., K).
+        slots: slots that each robot drove, at least 1, shape (..., K).
+        slot_s: length of a slot in s.
+        motion: E_1, E_2 and v.
+
+    Returns:
+        Energy efficiency in bit/s/Hz/J, shape (...).
+    """
+    return np.asarray(
+        (rate_sum / slots / motion_energy_j(slots * slot_s, motion)).sum(axis=-1)
+    )

@@ -1,0 +1,38 @@
+"""Random streams: one seed, a named child for each use, no global generator.
+
+A stream depends on its name alone, so adding one changes no other, and a robot's stream is the
+same whichever process holds the robot.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Stream(IntEnum):
+    """What the streams of a run are for. Values are part of the results: never renumber."""
+
+    DESTINATIONS = 0
+    WEIGHTS = 1
+    WORLD = 2
+    AP = 3
+    ROBOT = 4
+    EVALUATION = 5
+    RADIO_MAP = 6
+
+
+def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:
+    """A generator of its own for one use.
+
+    Args:
+        seed: the run's seed (or the map's, for ``Stream.RADIO_MAP``), at least 0.
+        name: what the stream is for.
+        index: which one, where there are several (robot k).
+
+    Returns:
+        A fresh PCG64 generator at the start of its stream.
+    """
+    sequence = np.random.SeedSequence(entropy=seed, spawn_key=(int(name), index))
+    return np.random.Generator(np.random.PCG64(sequence))

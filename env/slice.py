@@ -1,0 +1,60 @@
+"""A robot's slice of the environment: its task, what it sees and what it gains.
+
+The world tells a robot only what it could measure: its cell, its direct channel, the rate it was
+served with, whether it has arrived. Observation and reward are made here, on the robot's side.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env import reward
+from env.config import EnvConfig
+from env.floor import Floor
+from env.observation import Observer
+
+
+class Slice:
+    """The slices of n robots.
+
+    Args:
+        config: the environment.
+        destinations: the cell that each of these robots is going to, shape (n,).
+    """
+
+    def __init__(self, config: EnvConfig, destinations: NDArray[np.int64]) -> None:
+        self._observer = Observer(config)
+        self._weights = config.reward
+        self._centres = Floor.from_config(config).centres()
+        self._destinations = destinations
+        self.observation_size = self._observer.local_size
+
+    def observe(
+        self, cell: NDArray[np.int32], channel_db: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """s_L of each robot, float32, shape (n, local_size)."""
+        return self._observer.local(cell.astype(np.int64), channel_db, self._destinations)
+
+    def reward(
+        self,
+        rate: NDArray[np.float64],
+        left: NDArray[np.int32],
+        reached: NDArray[np.int32],
+        arrived: NDArray[np.bool_],
+    ) -> NDArray[np.float64]:
+        """r_L of each robot, Eq. (11).
+
+        Args:
+            rate: R_k in bit/s/Hz, shape (n,).
+            left: the cell that each robot left, shape (n,).
+            reached: the cell that it moved to, shape (n,).
+            arrived: whether that is its destination, shape (n,).
+
+        Returns:
+            Rewards, unscaled, shape (n,).
+        """
+        goal = self._centres[self._destinations]
+        before = reward.distance_m(self._centres[left], goal)
+        after = reward.distance_m(self._centres[reached], goal)
+        return reward.local_reward(rate, before, after, arrived, self._weights)

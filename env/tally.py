@@ -1,0 +1,101 @@
+"""Counting what episodes bring: the measures that training, evaluation and oracles share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.reward import energy_efficiency
+from env.world import Outcome, World
+
+
+@dataclass(frozen=True)
+class EpisodeMeasures:
+    """Measures of episodes, one entry a world.
+
+    Attributes:
+        success: share of the robots that arrived, shape (B,).
+        path_ratio: slots driven over the shortest length, nan for a robot that did not arrive,
+            shape (B, K).
+        reward: total of the robots' rewards over robots and slots, unscaled, shape (B,).
+        ee: energy efficiency in bit/s/Hz/J, the objective (5a), shape (B,).
+        sum_rate: mean over slots of sum_k R_k in bit/s/Hz, shape (B,).
+        min_rate: least over robots of a robot's mean rate while driving, shape (B,).
+        sic_violations: share of robot-slots whose signal broke Eq. (2) as sent, shape (B,).
+        projections: share of slots in which the AP changed the picks, shape (B,).
+        slots: length of the episode, shape (B,).
+    """
+
+    success: NDArray[np.float64]
+    path_ratio: NDArray[np.float64]
+    reward: NDArray[np.float64]
+    ee: NDArray[np.float64]
+    sum_rate: NDArray[np.float64]
+    min_rate: NDArray[np.float64]
+    sic_violations: NDArray[np.float64]
+    projections: NDArray[np.float64]
+    slots: NDArray[np.int64]
+
+    def summary(self) -> dict[str, float]:
+        """Means over the episodes; the path ratio's over all robots that arrived."""
+        ratios = self.path_ratio[np.isfinite(self.path_ratio)]
+        return {
+            "success": float(self.success.mean()),
+            "path_ratio": float(ratios.mean()) if len(ratios) else float("nan"),
+            "reward": float(self.reward.mean()),
+            "ee": float(self.ee.mean()),
+            "sum_rate": float(self.sum_rate.mean()),
+            "min_rate": float(self.min_rate.mean()),
+            "sic_violations": float(self.sic_violations.mean()),
+            "projections": float(self.projections.mean()),
+            "slots": float(self.slots.mean()),
+        }
+
+
+class EpisodeTally:
+    """Adds up the outcomes of the episodes that begin now in every world.
+
+    Args:
+        world: the worlds, just reset.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._shortest = world.floor.shortest_slots(world.cell, world.destinations)
+        shape = world.cell.shape
+        self._rate_sum = np.zeros(shape)
+        self._slots = np.zeros(shape, dtype=np.int64)
+        self._arrived = np.zeros(shape, dtype=bool)
+        self._reward = np.zeros(shape[0])
+        self._failed = np.zeros(shape[0], dtype=np.int64)
+        self._projected = np.zeros(shape[0], dtype=np.int64)
+
+    def add(self, outcome: Outcome) -> None:
+        """Counts one slot."""
+        self._rate_sum += outcome.rate
+        self._slots += outcome.drove
+        self._arrived |= outcome.arrived
+        self._reward += outcome.local_reward.sum(axis=-1)
+        self._failed += outcome.allocation.sic_failed.sum(axis=-1)
+        self._projected += outcome.allocation.projected
+
+    def measures(self) -> EpisodeMeasures:
+        """The measures so far, those of whole episodes once all have ended."""
+        slots = np.maximum(self._slots, 1)
+        length = np.maximum(self._slots.max(axis=-1), 1)
+        ratio = self._slots / np.maximum(self._shortest, 1)
+        return EpisodeMeasures(
+            success=self._arrived.mean(axis=-1),
+            path_ratio=np.where(self._arrived, ratio, np.nan),
+            reward=self._reward,
+            ee=energy_efficiency(
+                self._rate_sum, slots, self._world.slot_s, self._world.config.motion
+            ),
+            sum_rate=self._rate_sum.sum(axis=-1) / length,
+            min_rate=(self._rate_sum / slots).min(axis=-1),
+            sic_violations=self._failed / slots.sum(axis=-1),
+            projections=self._projected / length,
+            slots=self._slots.max(axis=-1),
+        )

@@ -1,0 +1,201 @@
+"""The shared state of all robots and its joint step: the one copy of the physics in motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env import reward
+from env.allocation import Allocation, Downlink
+from env.config import EnvConfig
+from env.floor import Floor
+from env.observation import Observer
+from env.radio_map import RadioMap, build_radio_map
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one slot brought, for B worlds of K robots.
+
+    Attributes:
+        rate: R_k in bit/s/Hz at the cell that was left, shape (B, K).
+        local_reward: r_{L,k}, 0 where a robot was not driving, shape (B, K).
+        global_reward: r_G, shape (B,).
+        drove: which robots were driving in the slot, shape (B, K).
+        arrived: which robots reached their destination in it, shape (B, K).
+        terminated: all robots have arrived, shape (B,).
+        truncated: T_max has run out before that, shape (B,).
+        allocation: powers, decoding order and decodability.
+    """
+
+    rate: NDArray[np.float64]
+    local_reward: NDArray[np.float64]
+    global_reward: NDArray[np.float64]
+    drove: NDArray[np.bool_]
+    arrived: NDArray[np.bool_]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    allocation: Allocation
+
+
+class World:
+    """B independent copies of the floor, with K robots each, stepped together.
+
+    A robot drives until it arrives or its episode ends; after that it takes no power, has no rate
+    and does not move. Nothing resets by itself.
+
+    Args:
+        config: the environment.
+        destinations: the cell that each robot is going to, shape (K,).
+        generator: the source of starts.
+        worlds: B.
+        radio_map: tables to use; built from the configuration if None.
+
+    Attributes:
+        cell: where the robots are, shape (B, K).
+        driving: which robots are driving, shape (B, K).
+        slot: slots since the episode began, shape (B,).
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        destinations: NDArray[np.int64],
+        generator: np.random.Generator,
+        worlds: int = 1,
+        radio_map: RadioMap | None = None,
+    ) -> None:
+        self.config = config
+        self.floor = Floor.from_config(config)
+        self.radio_map = radio_map or build_radio_map(config)
+        self.downlink = Downlink(config)
+        self.observer = Observer(config)
+        self.destinations = destinations
+        self.generator = generator
+        self.slot_s = config.room.cell_m / config.motion.speed_mps
+        self._next_cell = self.floor.neighbours()
+        centres = self.floor.centres()
+        self._distance_m = reward.distance_m(centres[:, None], centres[destinations])
+        self._starts = [
+            np.flatnonzero(self._distance_m[:, k] >= config.tasks.start_distance_m)
+            for k in range(len(destinations))
+        ]
+        self._robot = np.arange(len(destinations))
+        shape = (worlds, len(destinations))
+        self.cell = np.zeros(shape, dtype=np.int64)
+        self.driving = np.zeros(shape, dtype=bool)
+        self.slot = np.zeros(worlds, dtype=np.int64)
+
+    @property
+    def robots(self) -> int:
+        """K."""
+        return len(self.destinations)
+
+    @property
+    def phase_actions(self) -> int:
+        """N_R^N, the AP's actions."""
+        return len(self.radio_map.settings)
+
+    def reset(self, start: NDArray[np.int64] | None = None) -> None:
+        """Begins an episode in every world.
+
+        Args:
+            start: cells to start from, shape (B, K); drawn if None: for each robot uniformly from
+                the cells at least ``tasks.start_distance_m`` from its destination.
+        """
+        if start is None:
+            start = self.draw_starts(len(self.slot))
+        self.cell = np.array(start, dtype=np.int64)
+        self.driving = np.ones_like(self.cell, dtype=bool)
+        self.slot[:] = 0
+
+    def draw_starts(self, count: int) -> NDArray[np.int64]:
+        """Draws start cells from the world's stream, shape (count, K)."""
+        drawn = [self.generator.choice(cells, size=count) for cells in self._starts]
+        return np.stack(drawn, axis=-1)
+
+    def local_observations(self) -> NDArray[np.float32]:
+        """s_L of every robot, float32, shape (B, K, local_size)."""
+        measured = self.radio_map.direct_db[self.cell]
+        return self.observer.local(self.cell, measured, self.destinations)
+
+    def global_observation(self, local: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+        """s_G, float32, shape (B, global_size); ``local`` saves computing s_L again."""
+        if local is None:
+            local = self.local_observations()
+        return self.observer.of_all(local, self.radio_map.direct[self.cell], self.driving)
+
+    def step(
+        self,
+        phase_action: NDArray[np.int64],
+        direction: NDArray[np.int64],
+        level: NDArray[np.int64],
+    ) -> Outcome:
+        """One slot: channels at the cells left, order, powers, rates; then moves and rewards.
+
+        Args:
+            phase_action: the AP's action, shape (B,).
+            direction: index into ``DIRECTIONS``, shape (B, K); read where driving.
+            level: power level 1..N_P, shape (B, K); read where driving.
+
+        Returns:
+            What the slot brought.
+        """
+        drove = self.driving
+        channel = self.radio_map.channel(self.cell, phase_action)
+        gain = channel.real**2 + channel.imag**2
+        allocation = self.downlink.allocate(gain, level, drove)
+        before_m = self._distance_m[self.cell, self._robot]
+        moved = self._next_cell[self.cell, direction]
+        self.cell = np.where(drove, moved, self.cell)
+        after_m = self._distance_m[self.cell, self._robot]
+        arrived = drove & (self.cell == self.destinations)
+        self.driving = drove & ~arrived
+        self.slot = self.slot + drove.any(axis=-1)
+        terminated = ~self.driving.any(axis=-1)
+        truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
+        weights = self.config.reward
+        local = reward.local_reward(allocation.rate, before_m, after_m, arrived, weights)
+        return Outcome(
+            rate=allocation.rate,
+            local_reward=np.where(drove, local, 0.0),
+            global_reward=reward.global_reward(allocation.rate.sum(axis=-1), weights),
+            drove=drove,
+            arrived=arrived,
+            terminated=terminated,
+            truncated=truncated,
+            allocation=allocation,
+        )
+
+
+def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> NDArray[np.int64]:
+    """The destinations of K robots: those of the configuration first, further ones drawn.
+
+    Args:
+        config: the environment.
+        generator: the stream of destinations.
+
+    Returns:
+        Cells, shape (K,), the drawn ones at least ``tasks.destination_spacing_m`` from all others.
+
+    Raises:
+        ValueError: the floor has no room for that many.
+    """
+    floor = Floor.from_config(config)
+    centres = floor.centres()
+    given = config.tasks.destinations_m[: config.robots]
+    chosen = [int(floor.cell_at(np.asarray(position))) for position in given]
+    while len(chosen) < config.robots:
+        apart = np.linalg.norm(centres[:, None] - centres[chosen], axis=-1).min(
+            axis=-1, initial=np.inf
+        )
+        free = np.flatnonzero(apart >= config.tasks.destination_spacing_m)
+        if not len(free):
+            raise ValueError(
+                f"no room for {config.robots} destinations that are"
+                f" {config.tasks.destination_spacing_m} m apart"
+            )
+        chosen.append(int(generator.choice(free)))
+    return np.array(chosen, dtype=np.int64)

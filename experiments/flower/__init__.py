@@ -1,0 +1,14 @@
+"""Launchers of Flower's runtimes: what they start ends with them."""
+
+from experiments.flower.environment import FlowerError, max_concurrent_clients
+from experiments.flower.manifest import Components
+from experiments.flower.superlink import RunState, SimulationSuperLink, Status
+
+__all__ = [
+    "Components",
+    "FlowerError",
+    "RunState",
+    "SimulationSuperLink",
+    "Status",
+    "max_concurrent_clients",
+]

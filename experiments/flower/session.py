@@ -1,0 +1,135 @@
+"""A set of processes with a private folder that end, and is removed, together with their owner."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO
+
+from experiments.flower.environment import FlowerError, child_environment
+from experiments.flower.processes import MARKER, Process, identify, terminate
+
+# Ray's socket, <folder>/ray/session_<date>_<pid>/sockets/plasma_store, must fit 103 bytes (107 on
+# Linux), which leaves this much for the folder in which ours is made.
+_LONGEST_ROOT = 20
+
+
+class Session:
+    """Starts processes that carry a marker, and ends them with all that they started.
+
+    A watchdog process does the same should the owner die without calling `stop`.
+
+    Attributes:
+        folder: private folder: Flower's home, Ray's files, working folder of the processes.
+        environment: variables of the processes.
+    """
+
+    def __init__(self) -> None:
+        """Make the folder and start the watchdog."""
+        root = tempfile.gettempdir()
+        short = root if len(root) <= _LONGEST_ROOT or not os.path.isdir("/tmp") else "/tmp"
+        self.folder = Path(tempfile.mkdtemp(prefix="rf-", dir=short))
+        self.marker = uuid.uuid4().hex
+        self.environment = child_environment(self.folder, self.marker)
+        self._children: list[subprocess.Popen[bytes]] = []
+        self._roots: set[Process] = set()
+        self._watchdog = self._start_watchdog()
+
+    def spawn(
+        self, argv: Sequence[str], output: IO[bytes] | int, errors: int = subprocess.STDOUT
+    ) -> subprocess.Popen[bytes]:
+        """Start a process in the folder, away from our terminal's signals.
+
+        Args:
+            argv: command and arguments.
+            output: where its standard output goes.
+            errors: where its standard error goes, by default to the same place.
+
+        Returns:
+            The process.
+        """
+        child = subprocess.Popen(
+            argv,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=errors,
+            cwd=self.folder,
+            env=self.environment,
+            start_new_session=True,
+        )
+        self._children.append(child)
+        if (process := identify(child.pid)) is not None:
+            self._roots.add(process)
+            self._tell_watchdog(f"{process.pid}\t{process.started}\n")
+        return child
+
+    def root(self, child: subprocess.Popen[bytes]) -> Process:
+        """The identity of a process that `spawn` started."""
+        return next(row for row in self._roots if row.pid == child.pid)
+
+    def run(self, argv: Sequence[str], timeout_s: float) -> tuple[int, str, str]:
+        """Run a short command to its end.
+
+        Args:
+            argv: command and arguments.
+            timeout_s: seconds it may take.
+
+        Returns:
+            Its exit status, its standard output, its standard error.
+
+        Raises:
+            FlowerError: it took too long; it has been ended.
+        """
+        child = self.spawn(argv, subprocess.PIPE, subprocess.PIPE)
+        try:
+            output, errors = child.communicate(timeout=timeout_s)
+        except subprocess.TimeoutExpired as error:
+            child.kill()
+            output, errors = child.communicate()
+            name = " ".join([Path(argv[0]).name, *argv[1:2]])
+            message = f"`{name}` gave no answer within {timeout_s:.0f} s."
+            raise FlowerError(message, (output + errors).decode(errors="replace")) from error
+        return child.returncode, output.decode(errors="replace"), errors.decode(errors="replace")
+
+    def stop(self) -> None:
+        """End every process of the session and remove the folder; once is enough, twice is fine."""
+        left = terminate(self.marker, self._roots)
+        for child in self._children:
+            child.poll()
+        shutil.rmtree(self.folder, ignore_errors=True)
+        if self._watchdog.stdin is not None:
+            self._watchdog.stdin.close()
+        try:
+            self._watchdog.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._watchdog.kill()
+            self._watchdog.wait()
+        if left:
+            numbers = ", ".join(str(row.pid) for row in sorted(left, key=lambda row: row.pid))
+            raise FlowerError(f"These processes of Flower's could not be ended: {numbers}.")
+
+    def _start_watchdog(self) -> subprocess.Popen[bytes]:
+        environment = {key: value for key, value in os.environ.items() if key != MARKER}
+        return subprocess.Popen(
+            # -P: a folder `experiments` where the user happens to be must not be taken for ours.
+            [sys.executable, "-P", "-m", f"{__package__}.watchdog", self.marker, str(self.folder)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+            start_new_session=True,
+        )
+
+    def _tell_watchdog(self, line: str) -> None:
+        if self._watchdog.stdin is not None:
+            try:
+                self._watchdog.stdin.write(line.encode())
+                self._watchdog.stdin.flush()
+            except BrokenPipeError:
+                pass  # somebody ended it: then nothing guards us, and nothing else changes

@@ -1,0 +1,237 @@
+"""A private SuperLink that runs the app on Flower's simulation runtime on this machine."""
+
+from __future__ import annotations
+
+import re
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Self
+
+from experiments.flower import commands, control
+from experiments.flower.control import ControlError, RunState, Status
+from experiments.flower.engine import Engine
+from experiments.flower.environment import (
+    HOST,
+    FlowerError,
+    flower_command,
+    free_port,
+    max_concurrent_clients,
+    port_in_use,
+    tail,
+)
+from experiments.flower.manifest import Components, write_connection
+from experiments.flower.session import Session
+
+if TYPE_CHECKING:
+    import subprocess
+
+__all__ = ["Components", "RunState", "SimulationSuperLink", "Status"]
+
+_PORT_ATTEMPTS = 3
+_ANSI = re.compile(r"\x1b\[[0-9;]*m")
+
+
+class SimulationSuperLink:
+    """Starts a SuperLink on entry; on exit nothing of it, of Flower or of Ray is left.
+
+    Processes of the app inherit our environment; their working folder is a private one that is
+    removed at the end, so every path that they are given must be absolute.
+    """
+
+    def __init__(self, *, log_path: Path, start_timeout_s: float = 120.0, port: int = 0) -> None:
+        """Prepare; nothing is started yet.
+
+        Args:
+            log_path: file that gets the SuperLink's output and, at the end, the runs' own.
+            start_timeout_s: seconds for the SuperLink to answer, and again for a run to start and
+                for its first client process to appear.
+            port: TCP port on loopback; 0 takes a free one.
+        """
+        self._log_path = log_path
+        self._start_timeout_s = start_timeout_s
+        self._wanted_port = port
+        self._port = port
+        self._session: Session | None = None
+        self._superlink: subprocess.Popen[bytes] | None = None
+        self._engine: Engine | None = None
+        self._log: IO[bytes] | None = None
+        self._log_begin = 0
+        self._submitted: dict[int, float] = {}
+
+    def __enter__(self) -> Self:
+        """Start the SuperLink and wait until it answers.
+
+        Raises:
+            FlowerError: it does not, and why.
+        """
+        if self._wanted_port and port_in_use(self._wanted_port):
+            raise FlowerError(f"Port {self._wanted_port} on {HOST} is in use by another program.")
+        try:
+            self._session = Session()
+            self._log_path.parent.mkdir(parents=True, exist_ok=True)
+            self._log = self._log_path.open("ab")
+            for attempt in range(1, _PORT_ATTEMPTS + 1):
+                if self._start(last=bool(self._wanted_port) or attempt == _PORT_ATTEMPTS):
+                    break
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Stop everything."""
+        self.stop()
+
+    def submit(self, *, clients: int, overrides: str, components: Components | None = None) -> int:
+        """Hand in a run of the app.
+
+        Args:
+            clients: Flower clients, all of which run at the same time.
+            overrides: the run's one configuration value.
+            components: the app's parts, by default this project's.
+
+        Returns:
+            The run's number.
+
+        Raises:
+            FlowerError: more clients than can run at once, or Flower refuses.
+        """
+        session = self._require_alive()
+        most = max_concurrent_clients()
+        if not 1 <= clients <= most:
+            raise FlowerError(
+                f"federation.clients is {clients}, but Flower's simulation engine runs between 1 "
+                f"and {most} clients at once on this machine (its CPUs + 4, 32 at most)."
+            )
+        run_id = commands.submit_run(session, clients, overrides, components or Components())
+        self._submitted[run_id] = time.monotonic()
+        return run_id
+
+    def status(self, run_id: int) -> Status:
+        """State of a run; a few milliseconds, to be asked about once a second.
+
+        Args:
+            run_id: from `submit`.
+
+        Returns:
+            The state; FAILED also where the engine died and Flower has not noticed.
+
+        Raises:
+            FlowerError: the SuperLink ended, or the run or its clients did not start in time.
+        """
+        self._require_alive()
+        status = self._ask(run_id)
+        if status.state is RunState.RUNNING and self._engine is not None:
+            self._engine.look()
+            if not self._engine.running:
+                status = self._ask(run_id)  # it may have ended well in between
+                if not status.finished:
+                    reason = "the simulation's process ended without a word (killed?)"
+                    return Status(RunState.FAILED, reason)
+        self._require_progress(run_id, status)
+        return status
+
+    def log_tail(self, run_id: int, lines: int = 30) -> str:
+        """Last lines of what the ServerApp and the clients printed, else of the SuperLink's log.
+
+        Args:
+            run_id: from `submit`.
+            lines: how many.
+
+        Returns:
+            The lines, without colours.
+        """
+        text = ""
+        with suppress(ControlError):
+            text = control.run_log(self._port, run_id)
+        return tail(_ANSI.sub("", text), lines) or self._superlink_log(lines)
+
+    def stop(self) -> None:
+        """End every process and remove the private folder; may be called again."""
+        session, self._session = self._session, None
+        if session is None:
+            return
+        try:
+            self._save_run_logs()
+        finally:
+            session.stop()
+            if self._log is not None:
+                self._log.close()
+
+    def _start(self, *, last: bool) -> bool:
+        """Start the SuperLink; False where its port was taken in the meantime."""
+        assert self._session is not None
+        assert self._log is not None
+        self._port = self._wanted_port or free_port()
+        write_connection(self._session.folder, f"{HOST}:{self._port}")
+        self._log_begin = self._log.seek(0, 2)
+        self._superlink = self._session.spawn(
+            [flower_command("flower-superlink"), "--insecure", "--simulation",
+             "--isolation", "subprocess", "--disable-runtime-dependency-installation",
+             "--host", HOST, "--port", str(self._port)],
+            self._log,
+        )  # fmt: skip
+        deadline = time.monotonic() + self._start_timeout_s
+        while not control.is_healthy(self._port):
+            if self._superlink.poll() is not None:
+                if not last and "address already in use" in self._superlink_log():
+                    return False
+                self._require_alive()
+            if time.monotonic() > deadline:
+                seconds = f"{self._start_timeout_s:.0f} s"
+                message = f"Flower's SuperLink did not answer within {seconds}."
+                raise FlowerError(message, self._superlink_log())
+            time.sleep(0.1)
+        self._require_alive()
+        self._engine = Engine(self._session.root(self._superlink))
+        return True
+
+    def _require_alive(self) -> Session:
+        if self._session is None or self._superlink is None:
+            raise FlowerError("Flower's SuperLink is not running.")
+        if (code := self._superlink.poll()) is not None:
+            message = f"Flower's SuperLink ended with status {code}."
+            raise FlowerError(message, self._superlink_log())
+        return self._session
+
+    def _require_progress(self, run_id: int, status: Status) -> None:
+        waited = time.monotonic() - self._submitted.get(run_id, time.monotonic())
+        if status.finished or waited <= self._start_timeout_s:
+            return
+        seconds = f"{self._start_timeout_s:.0f} s"
+        if status.state is not RunState.RUNNING:
+            message = f"The run is still {status.state} {seconds} after it was handed to Flower."
+            raise FlowerError(message, self._superlink_log())
+        if self._engine is not None and not self._engine.has_clients:
+            message = f"No client process has started within {seconds}: does Ray work here?"
+            raise FlowerError(message, self.log_tail(run_id))
+
+    def _ask(self, run_id: int) -> Status:
+        session = self._require_alive()
+        try:
+            return control.run_status(self._port, run_id)
+        except ControlError:
+            return commands.run_status(session, run_id)
+
+    def _superlink_log(self, lines: int = 30) -> str:
+        if not self._log_path.exists():
+            return ""
+        with self._log_path.open("rb") as log:
+            log.seek(self._log_begin)
+            return tail(_ANSI.sub("", log.read().decode(errors="replace")), lines)
+
+    def _save_run_logs(self) -> None:
+        """Append what the runs printed, which only the SuperLink's memory holds."""
+        if self._log is None or self._superlink is None or self._superlink.poll() is not None:
+            return
+        for run_id in self._submitted:
+            with suppress(ControlError):
+                text = _ANSI.sub("", control.run_log(self._port, run_id))
+                self._log.write(f"\n--- Run {run_id} ---\n{text}".encode())

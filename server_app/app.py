@@ -1,0 +1,76 @@
+"""The ServerApp: hosts the world, the access point's agent and the coordinator of a run."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import shlex
+import time
+from pathlib import Path
+
+from flwr.app import Context
+from flwr.serverapp import Grid, ServerApp
+
+from conf import Config, ConfigError, fingerprint, flower_clients
+from env.link.server import LinkServer
+from server_app.preflight import checked
+from server_app.rounds import FlowerFleet, wait_for_nodes
+from server_app.session import Session
+
+log = logging.getLogger(__name__)
+
+NODES_PATIENCE_S = 2.0
+DEFAULT_NODES = 2
+
+app = ServerApp()
+
+
+@app.main()
+def main(grid: Grid, context: Context) -> None:
+    """Runs one training run on the clients that the federation has."""
+    config = _config(str(context.run_config.get("overrides", "")))
+    folder = Path(config.run.dir or f"runs/{time.strftime('%Y-%m-%d_%H-%M-%S')}").absolute()
+    nodes = _nodes(grid, config)
+    config = dataclasses.replace(
+        config,
+        run=dataclasses.replace(config.run, dir=str(folder)),
+        federation=dataclasses.replace(config.federation, clients=len(nodes)),
+    )
+    where = config.federation.link
+    link = LinkServer(
+        where.host, where.port, fingerprint=fingerprint(), timeout_s=where.timeout_s
+    )
+    try:
+        session = Session(config, folder)
+        fleet = FlowerFleet(config, grid, link, nodes, session.initial_weights())
+        summary = session.train(fleet, fleet.costs)
+    finally:
+        link.close("the run has ended")
+    log.info("run folder %s, success %.3f", folder, summary["evaluation"]["eps05"]["success"])
+
+
+def _config(overrides: str) -> Config:
+    """The configuration of a run; the runtime is Flower's, whatever ``config.yaml`` says."""
+    given = shlex.split(overrides)
+    if not any(item.startswith("runtime=") for item in given):
+        given.insert(0, "runtime=simulation")
+    config = checked(given)
+    if config.runtime.name == "local":
+        raise ConfigError("runtime=local: allowed on Flower is simulation.")
+    return config
+
+
+def _nodes(grid: Grid, config: Config) -> list[int]:
+    """The nodes to use: as many as ``federation.clients`` says, else what the federation has.
+
+    A federation's nodes join one after the other, so those there after a short patience count,
+    at most one a robot.
+    """
+    wanted = config.federation.clients
+    if wanted is not None:
+        return wait_for_nodes(grid, wanted, config.runtime.start_timeout_s)
+    wait_for_nodes(grid, 1, config.runtime.start_timeout_s)
+    deadline = time.monotonic() + NODES_PATIENCE_S
+    while time.monotonic() < deadline and len(list(grid.get_node_ids())) < flower_clients(config):
+        time.sleep(0.1)
+    return sorted(grid.get_node_ids())[: config.env.robots]

@@ -1,0 +1,68 @@
+"""Everything that can be known to be wrong before a run starts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+from conf import Config, ConfigError, compose, flower_clients, from_yaml
+from env.config import Problem
+from server_app.strategies import problems as strategy_problems
+
+WORKERS_BEYOND_CORES = 4
+MOST_WORKERS = 32
+
+
+def max_concurrent_clients() -> int:
+    """Clients that Flower's simulation engine runs at once on this machine.
+
+    It uses a bare ``ThreadPoolExecutor``, which has min(32, cores + 4) workers. Robots in
+    lockstep wait for each other, so one client more would never start.
+    """
+    return min(MOST_WORKERS, (os.cpu_count() or 1) + WORKERS_BEYOND_CORES)
+
+
+def check(config: Config) -> Config:
+    """Checks what the schema alone cannot: strategies, and what the runtime can do here.
+
+    Returns:
+        The same configuration.
+
+    Raises:
+        ConfigError: names each key, its value and what is allowed.
+    """
+    found = strategy_problems(config.strategy, config.env.robots)
+    if config.runtime.name == "simulation":
+        found += _simulation_problems(config)
+    if found:
+        raise ConfigError.of(found)
+    return config
+
+
+def checked(overrides: Sequence[str]) -> Config:
+    """Composes and checks a configuration.
+
+    Raises:
+        ConfigError: a wrong key, value or combination.
+    """
+    return check(compose(overrides))
+
+
+def checked_yaml(text: str) -> Config:
+    """Reads and checks a configuration that a run has written.
+
+    Raises:
+        ConfigError: it does not fit this version.
+    """
+    return check(from_yaml(text))
+
+
+def _simulation_problems(config: Config) -> list[Problem]:
+    most = max_concurrent_clients()
+    if flower_clients(config) <= most:
+        return []
+    allowed = (
+        f"at most {most} with runtime=simulation on this machine: Flower's engine runs no more"
+        " clients at once, and robots in lockstep need all of theirs"
+    )
+    return [("federation.clients", config.federation.clients, allowed)]

@@ -1,0 +1,201 @@
+"""The recorder of a run: evaluates while it trains and writes its folder as it goes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import epsilon_at
+from conf import Config, to_yaml
+from env.tally import EpisodeMeasures
+from server_app.coordinator import Progress
+from server_app.evaluation import Evaluator
+
+MEASURES = (
+    "success", "path_ratio", "ee", "sum_rate", "min_rate", "sic_violations", "projections",
+)
+"""What an evaluation reports, in ``summary.json`` and elsewhere."""
+
+METRICS = (
+    "episode", "tick", "slots", "reward", "success", "path_ratio", "ee", "sum_rate", "min_rate",
+    "sic_violations", "projections", "epsilon",
+)
+EVALUATIONS = ("episode", "tick", "cpu_s", "epsilon", *MEASURES)
+CONVERGED = 0.9
+PROGRESS_PERIOD_S = 0.5
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Writes a text file so that a reader sees either the old or the new one."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(text)
+    temporary.replace(path)
+
+
+@dataclass
+class History:
+    """What a run has shown so far: a row an episode and a row an evaluation."""
+
+    episodes: list[dict[str, float]] = field(default_factory=list)
+    evaluations: list[dict[str, float]] = field(default_factory=list)
+
+    def last(self, count: int) -> dict[str, float]:
+        """The mean of the last evaluations, measure by measure."""
+        rows = self.evaluations[-count:]
+        return {name: _mean([row[name] for row in rows]) for name in MEASURES}
+
+    def converged(self) -> dict[str, float] | None:
+        """The first of three evaluations in a row with success of at least .9, if any."""
+        for first, second, third in zip(
+            self.evaluations, self.evaluations[1:], self.evaluations[2:], strict=False
+        ):
+            if min(row["success"] for row in (first, second, third)) >= CONVERGED:
+                return {key: first[key] for key in ("episode", "tick", "cpu_s")}
+        return None
+
+
+def _mean(values: list[float]) -> float:
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else float("nan")
+
+
+class Recorder:
+    """Watches a run, implements ``coordinator.Observer``.
+
+    Args:
+        config: the run's configuration.
+        folder: the run's folder, made here.
+        evaluator: plays frozen weights.
+        cpu_s: processor time that the run has used so far.
+    """
+
+    def __init__(
+        self, config: Config, folder: Path, evaluator: Evaluator, cpu_s: Callable[[], float]
+    ) -> None:
+        self._config, self.folder = config, folder
+        self._evaluator = evaluator
+        self._cpu_s = cpu_s
+        self.history = History()
+        self.evaluation_s = 0.0
+        self.began = self.started = time.perf_counter()
+        self._written = 0.0
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "config.yaml").write_text(to_yaml(config))
+        self._metrics = _CsvLog(folder / "metrics.csv", METRICS)
+        self._evaluations = _CsvLog(folder / "evaluations.csv", EVALUATIONS)
+        self._events = _event_writer(folder) if config.run.tensorboard else None
+        self.report("starting", Progress())
+
+    def on_start(self) -> None:
+        """Start-up is over."""
+        self.started = time.perf_counter()
+
+    def on_episode(self, progress: Progress, measures: EpisodeMeasures) -> None:
+        """Writes a row of ``metrics.csv``."""
+        row = {
+            "episode": progress.episodes,
+            "tick": progress.tick,
+            **measures.summary(),
+            "epsilon": epsilon_at(self._config.agent.epsilon, progress.tick),
+        }
+        self.history.episodes.append(row)
+        self._metrics.write(row)
+        self._log_events("train", row, progress.tick)
+
+    def on_window(
+        self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
+    ) -> None:
+        """Evaluates the aggregated weights where that is due."""
+        done = len(self.history.evaluations)
+        if progress.episodes // self._config.evaluation.every > done:
+            began = time.perf_counter()
+            epsilon = self._config.evaluation.epsilon
+            measures = self._evaluator.play(robots[:, 0], ap[0], epsilon)
+            self.evaluation_s += time.perf_counter() - began
+            row = {
+                "episode": progress.episodes,
+                "tick": progress.tick,
+                "cpu_s": self._cpu_s(),
+                "epsilon": epsilon,
+                **measures.summary(),
+            }
+            self.history.evaluations.append(row)
+            self._evaluations.write(row)
+            self._log_events("evaluation", row, progress.tick)
+        if time.perf_counter() - self._written > PROGRESS_PERIOD_S:
+            self.report("training", progress)
+
+    def steps_per_s(self, progress: Progress) -> float:
+        """Joint steps per second since the first one, evaluations included."""
+        return progress.tick / max(time.perf_counter() - self.started, 1e-9)
+
+    def report(self, state: str, progress: Progress, message: str = "") -> None:
+        """Writes ``progress.json`` for whoever watches from outside."""
+        self._written = time.perf_counter()
+        recent = self.history.episodes[-10:]
+        status: dict[str, Any] = {
+            "state": state,
+            "message": message,
+            "tick": progress.tick,
+            "window": progress.window,
+            "episode": progress.episodes,
+            "episodes": self._config.train.episodes,
+            "max_ticks": self._config.train.max_ticks,
+            "steps_per_s": self.steps_per_s(progress) if progress.tick else 0.0,
+            "elapsed_s": time.perf_counter() - self.began,
+            "slots": _mean([row["slots"] for row in recent]) if recent else None,
+            "reward": _mean([row["reward"] for row in recent]) if recent else None,
+            "ee": _mean([row["ee"] for row in recent]) if recent else None,
+            "success": _mean([row["success"] for row in recent]) if recent else None,
+            "evaluated": self.history.evaluations[-1]["success"]
+            if self.history.evaluations
+            else None,
+        }
+        write_atomically(self.folder / "progress.json", json.dumps(status))
+
+    def close(self) -> None:
+        """Flushes and closes what is open; safe to call again."""
+        self._metrics.close()
+        self._evaluations.close()
+        if self._events is not None:
+            self._events.close()
+
+    def _log_events(self, group: str, row: dict[str, float], tick: int) -> None:
+        if self._events is None:
+            return
+        for name, value in row.items():
+            if name not in ("episode", "tick") and np.isfinite(value):
+                self._events.add_scalar(f"{group}/{name}", value, tick)
+
+
+def _event_writer(folder: Path) -> Any:
+    from torch.utils.tensorboard import SummaryWriter  # slow to import: only where it is wanted
+
+    return SummaryWriter(str(folder / "tensorboard"))  # type: ignore[no-untyped-call]
+
+
+class _CsvLog:
+    """A CSV file that grows by a row at a time and is on disk after each."""
+
+    def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
+        self._file = path.open("w", newline="")
+        self._writer = csv.DictWriter(self._file, columns, extrasaction="ignore")
+        self._writer.writeheader()
+
+    def write(self, row: dict[str, float]) -> None:
+        """Adds a row; columns that it lacks stay empty."""
+        self._writer.writerow(row)
+        self._file.flush()
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()

@@ -1,0 +1,215 @@
+"""A run from the server's side, whatever the runtime: everything but where the robots are."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save_file
+
+from agent import digest, single_threaded
+from conf import Config, fingerprint, robot_network, version
+from env.drawing import trajectory_figure
+from env.link.interface import Fleet
+from env.radio_map import build_radio_map
+from env.seeding import Stream, stream
+from env.world import World, draw_destinations
+from server_app.access_point import AccessPoint
+from server_app.coordinator import Coordinator
+from server_app.evaluation import Evaluator, trajectories
+from server_app.figures import learning_curve
+from server_app.recorder import MEASURES, Recorder, write_atomically
+from server_app.strategies import build_aggregator
+
+STOP_FILE = "stop"
+"""A file of this name in the run folder ends the run at the next window boundary."""
+
+LAST_EVALUATIONS = 5
+DRAWN_EPISODES = 3
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What a runtime adds to a run.
+
+    Attributes:
+        flower_s: wall time after start-up in which joint steps stood still for Flower.
+        client_cpu_s: processor time of other processes that hold robots.
+        bytes_to_robots: bytes sent on the link.
+        bytes_from_robots: bytes received on it.
+        flower_bytes: bytes of weights in Flower messages, both ways.
+        waited_s: wall time in which the coordinator waited for actions.
+    """
+
+    flower_s: float = 0.0
+    client_cpu_s: float = 0.0
+    bytes_to_robots: int = 0
+    bytes_from_robots: int = 0
+    flower_bytes: int = 0
+    waited_s: float = 0.0
+
+
+class Session:
+    """One training run.
+
+    Args:
+        config: the run's configuration.
+        folder: the run's folder.
+    """
+
+    def __init__(self, config: Config, folder: Path) -> None:
+        single_threaded()
+        self.config, self.folder = config, folder
+        self._costs: Callable[[], Costs] = Costs
+        self._began = time.perf_counter()
+        self._cpu_before = time.process_time()
+        self.radio_map = build_radio_map(config.env)
+        self.destinations = draw_destinations(
+            config.env, stream(config.seed, Stream.DESTINATIONS)
+        )
+        self.world = World(
+            config.env, self.destinations, stream(config.seed, Stream.WORLD), 1, self.radio_map
+        )
+        self.ap = AccessPoint(config)
+        self.evaluator = Evaluator(config, self.radio_map)
+        (folder / STOP_FILE).unlink(missing_ok=True)
+        self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s)
+
+    def cpu_s(self) -> float:
+        """Processor time of this process and of the robots' processes since the run began."""
+        return time.process_time() - self._cpu_before + self._costs().client_cpu_s
+
+    def initial_weights(self) -> NDArray[np.float32]:
+        """The network that all robots start from, online and target, shape (2, P)."""
+        first = robot_network(self.config).initial_weights(
+            stream(self.config.seed, Stream.WEIGHTS)
+        )
+        return np.stack([first, first])
+
+    def train(self, fleet: Fleet, costs: Callable[[], Costs] = Costs) -> dict[str, Any]:
+        """Trains with a fleet and writes everything that the run leaves behind.
+
+        Args:
+            fleet: the robots, which hold the initial weights.
+            costs: what the runtime has added so far.
+
+        Returns:
+            What ``summary.json`` holds.
+        """
+        self._costs = costs
+        aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
+        stop = (self.folder / STOP_FILE).exists
+        run = Coordinator(
+            self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop
+        )
+        try:
+            robots = run.run(self.initial_weights())
+            self.recorder.report("finishing", run.progress)
+            summary = self._finish(run, robots, shared=aggregator is not None)
+            self.recorder.report("done", run.progress)
+        except BaseException as error:
+            self.recorder.report("failed", run.progress, f"{type(error).__name__}: {error}")
+            raise
+        finally:
+            self.recorder.close()
+        return summary
+
+    def _finish(
+        self, run: Coordinator, robots: NDArray[np.float32], *, shared: bool
+    ) -> dict[str, Any]:
+        """Evaluates the final weights, and writes weights, summary and figures."""
+        trained_s = time.perf_counter() - self.recorder.started
+        steps_per_s = self.recorder.steps_per_s(run.progress)
+        ap = self.ap.weights()
+        save_weights(self.folder / "weights.safetensors", robots, ap)
+        online = robots[:1, 0] if shared else robots[:, 0]
+        trace: list[NDArray[np.int64]] = []
+        greedy = self.evaluator.play(online, ap[0], 0.0, trace).summary()
+        explored = self.evaluator.play(online, ap[0], 0.05).summary()
+        costs = self._costs()
+        summary = {
+            "seed": self.config.seed,
+            "runtime": self.config.runtime.name,
+            "strategy": self.config.strategy.name,
+            "robots": self.config.env.robots,
+            "versions": {name: version(name) for name in ("risfleet", "torch", "numpy", "flwr")},
+            "fingerprint": fingerprint(),
+            "digest": {"robots": digest(robots), "ap": digest(ap)},
+            "ticks": run.progress.tick,
+            "windows": run.progress.window,
+            "episodes": run.progress.episodes,
+            "stopped_early": run.stopped,
+            "wall_s": time.perf_counter() - self._began,
+            "startup_s": self.recorder.started - self.recorder.began,
+            "training_s": trained_s,
+            "evaluation_s": self.recorder.evaluation_s,
+            "waited_s": run.waited_s,
+            "cpu_s": self.cpu_s(),
+            "steps_per_s": steps_per_s,
+            "flower_share": costs.flower_s / trained_s,
+            "costs": asdict(costs),
+            "converged": self.recorder.history.converged(),
+            "evaluation": {
+                "greedy": {name: greedy[name] for name in MEASURES},
+                "eps05": {name: explored[name] for name in MEASURES},
+                "last5": self.recorder.history.last(LAST_EVALUATIONS),
+            },
+        }
+        write_atomically(self.folder / "summary.json", to_json(summary))
+        if self.config.run.figures:
+            self._draw(trace)
+        return summary
+
+    def _draw(self, trace: list[NDArray[np.int64]]) -> None:
+        history = self.recorder.history
+        folder = self.folder / "figures"
+        folder.mkdir(exist_ok=True)
+        learning_curve(
+            [row["reward"] for row in history.episodes],
+            [row["success"] for row in history.episodes],
+            [int(row["episode"]) for row in history.evaluations],
+            [row["success"] for row in history.evaluations],
+            self.config.evaluation.epsilon,
+        ).savefig(folder / "learning_curve.png", dpi=130)
+        draw_trajectories(self, trace, folder / "trajectories.png")
+
+
+def draw_trajectories(session: Session, trace: list[NDArray[np.int64]], path: Path) -> None:
+    """Draws the first held-out episodes of a traced evaluation."""
+    floor = session.world.floor
+    ways = trajectories(trace, floor)[:, :DRAWN_EPISODES]
+    trajectory_figure(
+        session.config.env,
+        session.radio_map,
+        ways,
+        floor.centres()[session.destinations],
+        [f"held-out start {index + 1}, greedy" for index in range(ways.shape[1])],
+    ).savefig(path, dpi=130)
+
+
+def save_weights(path: Path, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
+    """Writes the final weights: ``robots`` (K, 2, P) and ``ap`` (2, P_AP), online then target."""
+    temporary = path.with_name(f".{path.name}")
+    save_file(
+        {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}, temporary
+    )
+    temporary.replace(path)
+
+
+def to_json(values: dict[str, Any]) -> str:
+    """Values as strict JSON: what is not a finite number becomes null."""
+    return json.dumps(_finite(values), indent=2) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
