@@ -158,7 +158,8 @@ class Span:
         self._flat_slope[action + self._slope_at] = slope
         for step in self._backward:
             step()
-        mean: FloatArray = losses.mean(axis=1)
+        mean: FloatArray = np.add.reduce(losses, axis=1)
+        mean *= 1 / self._size
         return mean
 
     def _targets(self) -> FloatArray:

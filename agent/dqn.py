@@ -69,6 +69,9 @@ class DQN:
         Args:
             weights: online and target, shape (2, P) for all or (n, 2, P).
         """
+        each = self._learner.weights.shape
+        if weights.shape not in (each[1:], each):
+            raise ValueError(f"weights have shape {weights.shape}, not {each[1:]} or {each}")
         self._learner.weights[:] = weights
         self._learner.anchor[:] = self.online
 

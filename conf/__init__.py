@@ -1,6 +1,14 @@
 """Hydra configuration: the YAML groups, their schema, and how a run's configuration is composed."""
 
-from conf.compose import ConfigError, compose, from_node, from_yaml, problems, to_yaml
+from conf.compose import (
+    ConfigError,
+    compose,
+    from_node,
+    from_yaml,
+    problems,
+    register_schema,
+    to_yaml,
+)
 from conf.fingerprint import fingerprint, version
 from conf.networks import ap_network, robot_network
 from conf.schema import Config, StrategyConfig, flower_clients, windows_per_round
@@ -16,6 +24,7 @@ __all__ = [
     "from_node",
     "from_yaml",
     "problems",
+    "register_schema",
     "robot_network",
     "to_yaml",
     "version",

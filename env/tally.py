@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,10 @@ class EpisodeMeasures:
     sic_violations: NDArray[np.float64]
     projections: NDArray[np.float64]
     slots: NDArray[np.int64]
+
+    def of(self, worlds: slice) -> EpisodeMeasures:
+        """The measures of some of the worlds."""
+        return EpisodeMeasures(*(getattr(self, f.name)[worlds] for f in fields(self)))
 
     def summary(self) -> dict[str, float]:
         """Means over the episodes; the path ratio's over all robots that arrived."""

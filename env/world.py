@@ -50,7 +50,7 @@ class World:
         config: the environment.
         destinations: the cell that each robot is going to, shape (K,).
         generator: the source of starts.
-        worlds: B.
+        worlds: B, until ``reset`` is given starts for another number.
         radio_map: tables to use; built from the configuration if None.
 
     Attributes:
@@ -102,14 +102,14 @@ class World:
         """Begins an episode in every world.
 
         Args:
-            start: cells to start from, shape (B, K); drawn if None: for each robot uniformly from
-                the cells at least ``tasks.start_distance_m`` from its destination.
+            start: cells to start from, shape (B, K), for any B; drawn if None: for each robot
+                uniformly from the cells at least ``tasks.start_distance_m`` from its destination.
         """
         if start is None:
             start = self.draw_starts(len(self.slot))
         self.cell = np.array(start, dtype=np.int64)
         self.driving = np.ones_like(self.cell, dtype=bool)
-        self.slot[:] = 0
+        self.slot = np.zeros(len(self.cell), dtype=np.int64)
 
     def draw_starts(self, count: int) -> NDArray[np.int64]:
         """Draws start cells from the world's stream, shape (count, K)."""

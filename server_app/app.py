@@ -13,7 +13,7 @@ from flwr.serverapp import Grid, ServerApp
 
 from conf import Config, ConfigError, fingerprint, flower_clients
 from env.link.server import LinkServer
-from server_app.preflight import checked
+from server_app.preflight import checked, checked_yaml
 from server_app.rounds import FlowerFleet, wait_for_nodes
 from server_app.session import Session
 
@@ -50,11 +50,15 @@ def main(grid: Grid, context: Context) -> None:
 
 
 def _config(overrides: str) -> Config:
-    """The configuration of a run; the runtime is Flower's, whatever ``config.yaml`` says."""
+    """The configuration of a run: Hydra overrides, or ``@FILE`` for one that is written out.
+
+    The runtime is Flower's, whatever ``config.yaml`` has as its default.
+    """
     given = shlex.split(overrides)
-    if not any(item.startswith("runtime=") for item in given):
-        given.insert(0, "runtime=simulation")
-    config = checked(given)
+    if len(given) == 1 and given[0].startswith("@"):
+        config = checked_yaml(Path(given[0][1:]).read_text())
+    else:
+        config = checked(["runtime=simulation", *given])
     if config.runtime.name == "local":
         raise ConfigError("runtime=local: allowed on Flower is simulation.")
     return config

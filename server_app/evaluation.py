@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from agent import q_values
 from conf import Config, ap_network, robot_network
 from env import actions
-from env.floor import Floor
 from env.radio_map import RadioMap
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures, EpisodeTally
@@ -19,7 +20,7 @@ class Evaluator:
     """Held-out episodes of a run, stepped together as one batch.
 
     Starts and exploration come from the evaluation stream, from its beginning at every call: all
-    evaluations of a seed play the same starts.
+    evaluations of a seed play the same starts, whatever else they play.
 
     Args:
         config: the run's configuration.
@@ -28,85 +29,96 @@ class Evaluator:
     """
 
     def __init__(
-        self,
-        config: Config,
-        radio_map: RadioMap | None = None,
-        episodes: int | None = None,
+        self, config: Config, radio_map: RadioMap | None = None, episodes: int | None = None
     ) -> None:
+        self.episodes = episodes or config.evaluation.episodes
         self._seed = config.seed
         self._levels = config.env.power.levels
         self._robot, self._ap = robot_network(config), ap_network(config)
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         generator = stream(config.seed, Stream.EVALUATION)
-        self.world = World(
-            config.env, destinations, generator, episodes or config.evaluation.episodes, radio_map
-        )
+        self.world = World(config.env, destinations, generator, self.episodes, radio_map)
+        self._starts = self.world.draw_starts(self.episodes)
 
     def play(
         self,
         robots: NDArray[np.float32],
         ap: NDArray[np.float32],
-        epsilon: float,
+        epsilons: Sequence[float],
         trace: list[NDArray[np.int64]] | None = None,
-    ) -> EpisodeMeasures:
-        """Plays all episodes to their end.
+    ) -> list[EpisodeMeasures]:
+        """Plays the episodes to their end, once with each epsilon.
 
         Args:
             robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
             ap: online weights of the access point, shape (P_AP,).
-            epsilon: probability of a random action, for every agent.
-            trace: takes the cells (B, K) of every slot, the start first, if given.
+            epsilons: probabilities of a random action, for every agent.
+            trace: takes the cells of every slot, the start first, if given: arrays of shape
+                (len(epsilons) * episodes, K).
 
         Returns:
-            The measures of the episodes.
+            The measures for each epsilon.
         """
         world = self.world
-        world.generator = stream(self._seed, Stream.EVALUATION)
-        world.reset()
+        world.reset(np.concatenate([self._starts] * len(epsilons)))
         tally = EpisodeTally(world)
+        exploration = _Exploration(self._seed, epsilons, self.episodes)
         if trace is not None:
             trace.append(world.cell)
         for _ in range(world.config.motion.max_slots):
             local = world.local_observations()
-            phase = self._phase(world.global_observation(local), ap, epsilon)
-            action = self._actions(local, robots, epsilon)
+            state = world.global_observation(local)
+            phase = exploration(self._best_phase(state, ap), self._ap.actions)
+            action = exploration(self._best_actions(local, robots), self._robot.actions)
             outcome = world.step(phase, *actions.decode(action, self._levels))
             tally.add(outcome)
             if trace is not None:
                 trace.append(world.cell)
             if outcome.terminated.all():
                 break
-        return tally.measures()
+        measures = tally.measures()
+        blocks = range(0, len(epsilons) * self.episodes, self.episodes)
+        return [measures.of(slice(first, first + self.episodes)) for first in blocks]
 
-    def _actions(
-        self, local: NDArray[np.float32], robots: NDArray[np.float32], epsilon: float
+    def _best_actions(
+        self, local: NDArray[np.float32], robots: NDArray[np.float32]
     ) -> NDArray[np.int64]:
-        """The robots' actions, shape (B, K)."""
+        """The robots' greedy actions, shape (B, K)."""
         worlds, count, size = local.shape
         if len(robots) == 1:
             values = q_values(self._robot, robots, local.reshape(1, worlds * count, size))
-            greedy = values.argmax(axis=-1).reshape(worlds, count)
-        else:
-            by_robot = np.ascontiguousarray(local.transpose(1, 0, 2))
-            greedy = q_values(self._robot, robots, by_robot).argmax(axis=-1).T
-        return self._explore(greedy, epsilon, self._robot.actions)
+            return np.asarray(values.argmax(axis=-1).reshape(worlds, count))
+        by_robot = np.ascontiguousarray(local.transpose(1, 0, 2))
+        return np.asarray(q_values(self._robot, robots, by_robot).argmax(axis=-1).T)
 
-    def _phase(
-        self, state: NDArray[np.float32], ap: NDArray[np.float32], epsilon: float
+    def _best_phase(
+        self, state: NDArray[np.float32], ap: NDArray[np.float32]
     ) -> NDArray[np.int64]:
-        greedy = q_values(self._ap, ap[None], state[None]).argmax(axis=-1)[0]
-        return self._explore(greedy, epsilon, self._ap.actions)
-
-    def _explore(
-        self, greedy: NDArray[np.int64], epsilon: float, count: int
-    ) -> NDArray[np.int64]:
-        if epsilon == 0:
-            return greedy
-        generator = self.world.generator
-        random = generator.integers(count, size=greedy.shape)
-        return np.where(generator.random(greedy.shape) < epsilon, random, greedy)
+        """The access point's greedy actions, shape (B,)."""
+        return np.asarray(q_values(self._ap, ap[None], state[None]).argmax(axis=-1)[0])
 
 
-def trajectories(trace: list[NDArray[np.int64]], floor: Floor) -> NDArray[np.float64]:
-    """Positions in m of a traced episode, shape (slots + 1, B, K, 2)."""
-    return floor.centres()[np.stack(trace)]
+class _Exploration:
+    """Random actions for blocks of worlds, each with an epsilon and a random stream of its own."""
+
+    def __init__(self, seed: int, epsilons: Sequence[float], episodes: int) -> None:
+        self._blocks = [
+            (slice(i * episodes, (i + 1) * episodes), epsilon, stream(seed, Stream.EVALUATION, 1))
+            for i, epsilon in enumerate(epsilons)
+            if epsilon > 0
+        ]
+
+    def __call__(self, greedy: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+        """Replaces a share of the actions, shape (B, ...), by random ones below ``count``."""
+        for worlds, epsilon, generator in self._blocks:
+            block = greedy[worlds]
+            random = generator.integers(count, size=block.shape)
+            greedy[worlds] = np.where(generator.random(block.shape) < epsilon, random, block)
+        return greedy
+
+
+def trajectories(
+    trace: list[NDArray[np.int64]], centres_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Positions in m of traced episodes, shape (slots + 1, B, K, 2)."""
+    return centres_m[np.stack(trace)]

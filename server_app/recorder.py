@@ -43,14 +43,19 @@ def write_atomically(path: Path, text: str) -> None:
 
 @dataclass
 class History:
-    """What a run has shown so far: a row an episode and a row an evaluation."""
+    """What a run has shown so far: a row an episode and a row an evaluation, explored and greedy.
+
+    The path ratio of an explored row is that of the greedy one beside it: random moves lengthen
+    any path.
+    """
 
     episodes: list[dict[str, float]] = field(default_factory=list)
     evaluations: list[dict[str, float]] = field(default_factory=list)
+    greedy: list[dict[str, float]] = field(default_factory=list)
 
-    def last(self, count: int) -> dict[str, float]:
+    def last(self, count: int, *, greedy: bool = False) -> dict[str, float]:
         """The mean of the last evaluations, measure by measure."""
-        rows = self.evaluations[-count:]
+        rows = (self.greedy if greedy else self.evaluations)[-count:]
         return {name: _mean([row[name] for row in rows]) for name in MEASURES}
 
     def converged(self) -> dict[str, float] | None:
@@ -66,6 +71,27 @@ class History:
 def _mean(values: list[float]) -> float:
     finite = [value for value in values if np.isfinite(value)]
     return float(np.mean(finite)) if finite else float("nan")
+
+
+def evaluate(
+    evaluator: Evaluator, robots: NDArray[np.float32], ap: NDArray[np.float32], epsilon: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Plays frozen weights with some exploration and greedily.
+
+    Args:
+        evaluator: of the run.
+        robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
+        ap: online weights of the access point, shape (P_AP,).
+        epsilon: exploration of the first.
+
+    Returns:
+        Measures with exploration, with the path ratio of the greedy ones; and greedy ones.
+    """
+    explored, greedy = (m.summary() for m in evaluator.play(robots, ap, (epsilon, 0.0)))
+    return (
+        {**explored, "epsilon": epsilon, "path_ratio": greedy["path_ratio"]},
+        {**greedy, "epsilon": 0.0},
+    )
 
 
 class Recorder:
@@ -118,21 +144,24 @@ class Recorder:
         done = len(self.history.evaluations)
         if progress.episodes // self._config.evaluation.every > done:
             began = time.perf_counter()
-            epsilon = self._config.evaluation.epsilon
-            measures = self._evaluator.play(robots[:, 0], ap[0], epsilon)
+            self._evaluate(progress, robots[:, 0], ap[0])
             self.evaluation_s += time.perf_counter() - began
-            row = {
-                "episode": progress.episodes,
-                "tick": progress.tick,
-                "cpu_s": self._cpu_s(),
-                "epsilon": epsilon,
-                **measures.summary(),
-            }
-            self.history.evaluations.append(row)
-            self._evaluations.write(row)
-            self._log_events("evaluation", row, progress.tick)
         if time.perf_counter() - self._written > PROGRESS_PERIOD_S:
             self.report("training", progress)
+
+    def _evaluate(
+        self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
+    ) -> None:
+        explored, greedy = evaluate(self._evaluator, robots, ap, self._config.evaluation.epsilon)
+        at = {"episode": progress.episodes, "tick": progress.tick, "cpu_s": self._cpu_s()}
+        for rows, name, values in (
+            (self.history.evaluations, "evaluation", explored),
+            (self.history.greedy, "greedy", greedy),
+        ):
+            row = {**at, **values}
+            rows.append(row)
+            self._evaluations.write(row)
+            self._log_events(name, row, progress.tick)
 
     def steps_per_s(self, progress: Progress) -> float:
         """Joint steps per second since the first one, evaluations included."""

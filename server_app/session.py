@@ -24,14 +24,16 @@ from server_app.access_point import AccessPoint
 from server_app.coordinator import Coordinator
 from server_app.evaluation import Evaluator, trajectories
 from server_app.figures import learning_curve
-from server_app.recorder import MEASURES, Recorder, write_atomically
+from server_app.recorder import MEASURES, Recorder, evaluate, write_atomically
 from server_app.strategies import build_aggregator
 
 STOP_FILE = "stop"
 """A file of this name in the run folder ends the run at the next window boundary."""
 
 LAST_EVALUATIONS = 5
+FINAL_EPSILON = 0.05
 DRAWN_EPISODES = 3
+FIGURE_DPI = 130
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,6 @@ class Session:
         )
         self.ap = AccessPoint(config)
         self.evaluator = Evaluator(config, self.radio_map)
-        (folder / STOP_FILE).unlink(missing_ok=True)
         self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s)
 
     def cpu_s(self) -> float:
@@ -129,9 +130,8 @@ class Session:
         ap = self.ap.weights()
         save_weights(self.folder / "weights.safetensors", robots, ap)
         online = robots[:1, 0] if shared else robots[:, 0]
-        trace: list[NDArray[np.int64]] = []
-        greedy = self.evaluator.play(online, ap[0], 0.0, trace).summary()
-        explored = self.evaluator.play(online, ap[0], 0.05).summary()
+        explored, greedy = evaluate(self.evaluator, online, ap[0], FINAL_EPSILON)
+        history = self.recorder.history
         costs = self._costs()
         summary = {
             "seed": self.config.seed,
@@ -154,19 +154,20 @@ class Session:
             "steps_per_s": steps_per_s,
             "flower_share": costs.flower_s / trained_s,
             "costs": asdict(costs),
-            "converged": self.recorder.history.converged(),
+            "converged": history.converged(),
             "evaluation": {
                 "greedy": {name: greedy[name] for name in MEASURES},
                 "eps05": {name: explored[name] for name in MEASURES},
-                "last5": self.recorder.history.last(LAST_EVALUATIONS),
+                "last5": history.last(LAST_EVALUATIONS),
+                "last5_greedy": history.last(LAST_EVALUATIONS, greedy=True),
             },
         }
         write_atomically(self.folder / "summary.json", to_json(summary))
         if self.config.run.figures:
-            self._draw(trace)
+            self._draw(online, ap[0])
         return summary
 
-    def _draw(self, trace: list[NDArray[np.int64]]) -> None:
+    def _draw(self, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
         history = self.recorder.history
         folder = self.folder / "figures"
         folder.mkdir(exist_ok=True)
@@ -176,21 +177,18 @@ class Session:
             [int(row["episode"]) for row in history.evaluations],
             [row["success"] for row in history.evaluations],
             self.config.evaluation.epsilon,
-        ).savefig(folder / "learning_curve.png", dpi=130)
-        draw_trajectories(self, trace, folder / "trajectories.png")
-
-
-def draw_trajectories(session: Session, trace: list[NDArray[np.int64]], path: Path) -> None:
-    """Draws the first held-out episodes of a traced evaluation."""
-    floor = session.world.floor
-    ways = trajectories(trace, floor)[:, :DRAWN_EPISODES]
-    trajectory_figure(
-        session.config.env,
-        session.radio_map,
-        ways,
-        floor.centres()[session.destinations],
-        [f"held-out start {index + 1}, greedy" for index in range(ways.shape[1])],
-    ).savefig(path, dpi=130)
+        ).savefig(folder / "learning_curve.png", dpi=FIGURE_DPI)
+        trace: list[NDArray[np.int64]] = []
+        self.evaluator.play(robots, ap, (0.0,), trace)
+        centres = self.world.floor.centres()
+        ways = trajectories(trace, centres)[:, :DRAWN_EPISODES]
+        trajectory_figure(
+            self.config.env,
+            self.radio_map,
+            ways,
+            centres[self.destinations],
+            [f"held-out start {index + 1}, greedy" for index in range(ways.shape[1])],
+        ).savefig(folder / "trajectories.png", dpi=FIGURE_DPI)
 
 
 def save_weights(path: Path, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:

@@ -3,6 +3,7 @@
 import logging
 import socket
 import ssl
+import struct
 import time
 from collections.abc import Sequence
 
@@ -96,12 +97,12 @@ class _Line:
         """The server's next message; its arrays are the caller's to keep."""
         try:
             frame = self.wire.receive()
-        except TimeoutError as error:
-            raise LinkTimeout(f"no word from the server for {self._timeout_s:g} s") from error
+        except TimeoutError:
+            frame = None
         except (OSError, EOFError) as error:
             raise ServerLost(f"the server has gone: {described(error)}") from error
         if frame is None:
-            raise ServerLost("the server has gone")
+            raise LinkTimeout(f"no word from the server for {self._timeout_s:g} s")
         return decode(bytearray(frame))
 
     def say(self, frame: bytes) -> None:
@@ -160,6 +161,11 @@ def _connected(
     sock.settimeout(timeout_s)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     if context is None:
+        # The kernel keeps the deadline: a socket with a timeout would be polled before each call.
+        limit = struct.pack("ll", int(timeout_s), min(999_999, int(timeout_s % 1 * 1e6) + 1))
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+        sock.settimeout(None)
         return sock
     try:
         return context.wrap_socket(sock, server_hostname=address[0])

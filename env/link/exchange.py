@@ -77,7 +77,7 @@ class Exchange:
             for seat in self._ready(min(rest, 0.2)):
                 self._reply(seat)
 
-    def send(self, seat: Seat, frame: bytes | bytearray, awaited: bool) -> None:
+    def send(self, seat: Seat, frame: bytes, awaited: bool) -> None:
         """Send a frame to a client; `awaited` says whether an answer is due."""
         if self._arrivals:
             self._admit()

@@ -26,7 +26,6 @@ from env.link.layout import (
     WEIGHTS,
     Kind,
     frame_size,
-    step_size,
 )
 from env.link.messages import (
     MAX_ROBOTS,
@@ -50,37 +49,20 @@ _FLAGS = int(Flag.OUTCOME | Flag.ARRIVED | Flag.DRIVING)
 _WANTS = tuple(Want)
 
 
-class StepWriter:
-    """The frame of one client's steps, written again and again into one buffer."""
+def step_frame(tick: int, window: int, want: Want, records: bytes) -> bytes:
+    """The frame of a `Step`, from the bytes of its UPDATE records.
 
-    def __init__(self, count: int) -> None:
-        """A buffer for the steps of `count` robots."""
-        self._buffer = bytearray(step_size(count))
-        self._records = np.frombuffer(self._buffer, f"V{RECORD}", offset=_STEP_FRAME.size)
-        self._head = (MAGIC, VERSION, int(Kind.STEP), 0, len(self._buffer) - HEADER.size)
-
-    def write(self, tick: int, window: int, want: Want, records: np.ndarray) -> bytearray:
-        """The frame; the next call overwrites it.
-
-        Args:
-            tick: of the observation.
-            window: of the outcome.
-            want: what is expected next.
-            records: (n,), the client's part of the UPDATE records, viewed as raw bytes.
-        """
-        try:
-            _STEP_FRAME.pack_into(
-                self._buffer, 0, *self._head, tick, window, want, len(self._records)
-            )
-        except struct.error as error:
-            raise FrameError(f"tick {tick} or window {window} is out of range") from error
-        self._records[:] = records
-        return self._buffer
-
-
-def raw(updates: np.ndarray) -> np.ndarray:
-    """UPDATE records as opaque bytes, which NumPy copies faster than field by field."""
-    return updates.view(f"V{RECORD}")
+    Raises:
+        FrameError: tick or window does not fit its field.
+    """
+    count = len(records) // RECORD
+    try:
+        head = _STEP_FRAME.pack(
+            MAGIC, VERSION, Kind.STEP, 0, STEP.size + len(records), tick, window, want, count
+        )
+    except struct.error as error:
+        raise FrameError(f"tick {tick} or window {window} is out of range") from error
+    return head + records
 
 
 def encode(message: Message) -> bytes:
@@ -104,8 +86,8 @@ def _framed(kind: Kind, *parts: bytes | memoryview) -> bytes:
 
 
 def _encode_step(step: Step) -> bytes:
-    records = np.ascontiguousarray(step.updates, UPDATE)
-    return bytes(StepWriter(len(records)).write(step.tick, step.window, step.want, raw(records)))
+    records = np.ascontiguousarray(step.updates, UPDATE).tobytes()
+    return step_frame(step.tick, step.window, step.want, records)
 
 
 def _encode_actions(message: Actions) -> bytes:

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from env.link.frames import StepWriter
-from env.link.layout import TEXT_SIZE, actions_size, weights_size
+from env.link.layout import RECORD, TEXT_SIZE, actions_size, weights_size
 from env.link.messages import rows_of
 from env.link.wire import Wire
 
@@ -26,10 +25,18 @@ class Seat:
         """A free seat for the client that holds the robots of `block`."""
         self.block = block
         self.rows = rows_of(block)
-        self.steps = StepWriter(len(block))
+        self._cuts = [slice(k * RECORD, (k + 1) * RECORD) for k in block]
+        if isinstance(self.rows, slice):
+            self._cuts = [slice(self.rows.start * RECORD, self.rows.stop * RECORD)]
         self.upload_shape = (len(block), *shape)
         self.limit = max(TEXT_SIZE, actions_size(len(block)), weights_size(self.upload_shape))
         self.stats = stats
         self.wire: Wire | None = None
-        self.outbox: bytes | bytearray = b""
+        self.outbox: bytes = b""
         self.awaited = False
+
+    def records(self, fleet: bytes) -> bytes:
+        """This seat's part of the bytes of all robots' UPDATE records."""
+        if len(self._cuts) == 1:
+            return fleet[self._cuts[0]]
+        return b"".join([fleet[cut] for cut in self._cuts])

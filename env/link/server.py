@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from env.link.door import Admission, Door
 from env.link.errors import FrameError, LinkError
 from env.link.exchange import Exchange
-from env.link.frames import actions_in, decode, encode, raw
+from env.link.frames import actions_in, decode, encode, step_frame
 from env.link.messages import (
     Want,
     Weights,
@@ -115,11 +115,11 @@ class LinkServer:
     def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
         """See `Fleet.tell`."""
         exchange = self._open
-        records = raw(checked_updates(updates, self._robots))
+        records = checked_updates(updates, self._robots).tobytes()
         exchange.turn.told(tick, window, want)
         awaited = want is not Want.FAREWELL
         for seat in exchange.seats.values():
-            frame = seat.steps.write(tick, window, want, records[seat.rows])
+            frame = step_frame(tick, window, want, seat.records(records))
             exchange.send(seat, frame, awaited)
 
     def actions(self, tick: int) -> NDArray[np.int32]:

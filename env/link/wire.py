@@ -65,7 +65,7 @@ class Wire:
                 raise EOFError("the connection was closed by the other side")
             self._have = have = have + got
 
-    def send(self, frame: bytes | bytearray, timeout_s: float) -> None:
+    def send(self, frame: bytes, timeout_s: float) -> None:
         """Send a whole frame.
 
         Raises:

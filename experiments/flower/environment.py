@@ -19,10 +19,7 @@ _SETTINGS = {
     # Without it a SuperLink installs the dependencies anew for every run, torch included.
     "FLWR_DISABLE_RUNTIME_DEPENDENCY_INSTALLATION": "1",
     "RAY_USAGE_STATS_ENABLED": "0",
-    # Workers started ahead lack the job's environment: never used, a second or two each.
-    "RAY_prestart_worker_first_driver": "0",
-    "RAY_enable_worker_prestart": "0",
-    # Clients see the accelerators that the other runtimes see.
+    # Ray hides accelerators from workers that ask for none: let every runtime see the same.
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
 }
 _FOREIGN = ("RAY_ADDRESS", "RAY_NAMESPACE", "FLWR_DATABASE")  # would lead to another's cluster

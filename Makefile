@@ -1,0 +1,40 @@
+# make train sets everything up and runs the main job; make test sets up and passes the tests.
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+PYTHON ?= $(firstword $(shell command -v python3.11 python3.12 python3.13 python3))
+TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
+PACKAGES := env agent server_app client_app conf experiments
+SOURCES := $(PACKAGES) tests benchmarks
+
+.PHONY: setup train test test-all bench lint clean
+
+setup: $(READY)
+
+# torch goes first and by itself, so that no other package's range can pull in a larger build.
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check $(TORCH)
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+train: $(READY)
+	$(BIN)/risfleet train $(ARGS)
+
+lint: $(READY)
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/pytest -m "not slow" --cov=env --cov=agent --cov-report=term --cov-fail-under=95
+
+test-all: lint
+	$(BIN)/pytest --cov=env --cov=agent --cov-report=term --cov-fail-under=95
+
+bench: $(READY)
+	$(BIN)/python -m benchmarks
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

@@ -1,0 +1,196 @@
+"""What the user sees of a run: live progress, and the table at its end."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+
+from server_app.recorder import MEASURES
+
+POLL_S = 0.5
+LINE_PERIOD_S = 10.0
+LABELS = {
+    "success": "success",
+    "path_ratio": "path ratio",
+    "ee": "EE (bit/s/Hz/J)",
+    "sum_rate": "sum rate (bit/s/Hz)",
+    "min_rate": "min rate (bit/s/Hz)",
+    "sic_violations": "SIC violations",
+    "projections": "projections",
+}
+assert set(LABELS) == set(MEASURES)
+
+
+def read_progress(folder: Path) -> dict[str, Any] | None:
+    """What a run last wrote to ``progress.json``; None if it has not yet."""
+    try:
+        content: dict[str, Any] = json.loads((folder / "progress.json").read_text())
+    except (OSError, ValueError):
+        return None
+    return content
+
+
+def share_done(status: dict[str, Any]) -> float:
+    """How much of a run is done, 0 to 1, by episodes or ticks, whichever ends it first."""
+    done = float(status["episode"] / status["episodes"])
+    if status["max_ticks"]:
+        done = max(done, status["tick"] / status["max_ticks"])
+    return min(done, 1.0)
+
+
+def seconds_left(status: dict[str, Any]) -> float | None:
+    """An estimate of the time left: the ticks to come at the rate so far."""
+    rate, slots = status["steps_per_s"], status["slots"]
+    if not rate or not slots or status["state"] != "training":
+        return None
+    ticks = (status["episodes"] - status["episode"]) * slots
+    if status["max_ticks"]:
+        ticks = min(ticks, status["max_ticks"] - status["tick"])
+    return float(max(ticks, 0) / rate)
+
+
+def describe(status: dict[str, Any]) -> list[tuple[str, str]]:
+    """The labelled figures of a run's progress."""
+    left = seconds_left(status)
+    frozen = status["evaluated"]
+    return [
+        ("", str(status["state"])),
+        ("episode", f"{status['episode']}/{status['episodes']}"),
+        ("tick", str(status["tick"])),
+        ("success", _number(status["success"], ".2f")),
+        ("frozen", _number(frozen, ".2f")),
+        ("reward", _number(status["reward"], ".0f")),
+        ("EE", _number(status["ee"], ".4f")),
+        ("steps/s", _number(status["steps_per_s"] or None, ".0f")),
+        ("left", "-" if left is None else _duration(left)),
+    ]
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+class Display:
+    """Shows a run's progress while it lasts, from what it writes to its folder.
+
+    Live on a terminal; elsewhere a plain line every ten seconds. It reads a file only, so it
+    shows every runtime alike.
+
+    Args:
+        folder: the run's folder.
+        console: where to show.
+    """
+
+    def __init__(self, folder: Path, console: Console) -> None:
+        self._folder, self._console = folder, console
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="display", daemon=True)
+
+    def __enter__(self) -> Display:
+        """Begins to show."""
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Shows the last state and ends."""
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        if not self._console.is_terminal:
+            self._print_lines()
+            return
+        with Live(console=self._console, refresh_per_second=4, transient=True) as live:
+            while not self._ended.wait(POLL_S):
+                status = read_progress(self._folder)
+                if status is not None:
+                    live.update(_panel(status))
+
+    def _print_lines(self) -> None:
+        shown, printed = "", 0.0
+        while True:
+            ended = self._ended.wait(POLL_S)
+            status = read_progress(self._folder)
+            due = time.monotonic() - printed >= LINE_PERIOD_S
+            if status is not None and (due or ended or status["state"] != shown):
+                shown, printed = status["state"], time.monotonic()
+                line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
+                self._console.print(line, highlight=False, soft_wrap=True)
+            if ended:
+                return
+
+
+def _panel(status: dict[str, Any]) -> Table:
+    outer = Table.grid(padding=(0, 0))
+    outer.add_row(ProgressBar(total=1.0, completed=share_done(status), width=60))
+    figures = Table.grid(padding=(0, 2))
+    columns = describe(status)
+    figures.add_row(*(f"[dim]{name or 'state'}[/dim]" for name, _ in columns))
+    figures.add_row(*(text for _, text in columns))
+    outer.add_row(figures)
+    return outer
+
+
+def evaluation_table(title: str, columns: dict[str, dict[str, float]]) -> Table:
+    """A table of evaluations, a column each.
+
+    Args:
+        title: above the table.
+        columns: from a column's name to its measures.
+    """
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for name in columns:
+        table.add_column(name, justify="right")
+    for key, label in LABELS.items():
+        table.add_row(label, *(_measure(key, values.get(key)) for values in columns.values()))
+    return table
+
+
+def _measure(key: str, value: float | None) -> str:
+    if value is None or value != value:
+        return "-"
+    return format(value, ".4f" if key == "ee" else ".3f")
+
+
+def show_summary(console: Console, summary: dict[str, Any], folder: Path) -> None:
+    """The end of a run: what the policy is worth and where everything is."""
+    evaluation = summary["evaluation"]
+    title = (
+        f"{summary['robots']} robots, seed {summary['seed']}, {summary['episodes']} episodes,"
+        f" {summary['ticks']} ticks at {summary['steps_per_s']:.0f} steps/s"
+    )
+    columns = {
+        "frozen, eps = .05": evaluation["eps05"],
+        "greedy": evaluation["greedy"],
+        "last 5 in training": evaluation["last5"],
+    }
+    console.print(evaluation_table(title, columns))
+    for name in sorted(_written(folder)):
+        console.print(f"  {name}", highlight=False, soft_wrap=True)
+
+
+def _written(folder: Path) -> list[str]:
+    names = ["summary.json", "metrics.csv", "evaluations.csv", "weights.safetensors"]
+    names += ["config.yaml", "tensorboard"]
+    found = [folder / name for name in names] + sorted((folder / "figures").glob("*.png"))
+    return [str(path) for path in found if path.exists()]

@@ -1,0 +1,44 @@
+"""``runtime=simulation``: the app on Flower's simulation runtime, on this machine."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import time
+from pathlib import Path
+from typing import Any
+
+from conf import Config, flower_clients, to_yaml
+from experiments.flower import FlowerError, RunState, SimulationSuperLink
+
+POLL_S = 0.5
+
+
+def train(config: Config, folder: Path) -> dict[str, Any]:
+    """Trains on a SuperLink of this run's own, which ends with it.
+
+    Args:
+        config: the run's configuration, with an absolute ``run.dir``.
+        folder: the run's folder.
+
+    Returns:
+        What ``summary.json`` holds.
+
+    Raises:
+        FlowerError: Flower or the run failed; the message holds the end of the log.
+    """
+    written = folder / "config.yaml"
+    written.write_text(to_yaml(config))
+    with SimulationSuperLink(log_path=folder / "flower.log") as superlink:
+        run_id = superlink.submit(
+            clients=flower_clients(config), overrides=shlex.quote(f"@{written}")
+        )
+        while not (status := superlink.status(run_id)).finished:
+            time.sleep(POLL_S)
+        if status.state is not RunState.COMPLETED:
+            raise FlowerError(
+                f"The run ended as {status.state} {status.details}".strip(),
+                superlink.log_tail(run_id),
+            )
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return summary

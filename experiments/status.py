@@ -1,0 +1,31 @@
+"""``risfleet status RUN``: where a run is."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from experiments.display import describe, read_progress
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the command; returns the exit status."""
+    if len(arguments) != 1:
+        print("risfleet: status needs one run folder: risfleet status RUN", file=sys.stderr)
+        return 2
+    folder = Path(arguments[0])
+    status = read_progress(folder)
+    if status is None:
+        print(f"risfleet: {folder} holds no run that has begun", file=sys.stderr)
+        return 2
+    table = Table.grid(padding=(0, 2))
+    for name, text in describe(status):
+        table.add_row(name or "state", text)
+    if status["message"]:
+        table.add_row("message", status["message"])
+    Console().print(table)
+    return 0

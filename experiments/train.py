@@ -1,0 +1,171 @@
+"""``risfleet train``: one run, or with ``-m`` one for each combination of values."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any
+
+from hydra import main as hydra_main
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from rich.console import Console
+
+from conf import Config, ConfigError, from_node, register_schema, to_yaml
+from conf.compose import FOLDER, check_overrides
+from env.link.errors import LinkError
+from experiments import local, simulation
+from experiments.display import Display, show_summary
+from experiments.flower import FlowerError
+from server_app.preflight import check, checked
+from server_app.session import STOP_FILE
+
+INTERRUPTED = 130
+
+Runtime = Callable[[Config, Path], dict[str, Any]]
+RUNTIMES: dict[str, Runtime] = {"local": local.train, "simulation": simulation.train}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the command; returns the exit status."""
+    flags = [item for item in arguments if item.startswith("-")]
+    overrides = [item for item in arguments if not item.startswith("-")]
+    unknown = [flag for flag in flags if flag not in ("-m", "--multirun", "--cfg")]
+    try:
+        if unknown:
+            raise ConfigError(f"{unknown[0]} is no option: there are -m and --cfg.")
+        if "--cfg" in flags:
+            print(to_yaml(checked(overrides)), end="")
+            return 0
+        if flags:
+            return _train_all(overrides)
+        config = checked(overrides)
+        return train(config, new_folder(config))
+    except (ConfigError, FlowerError, LinkError) as error:
+        print(f"risfleet: {error}", file=sys.stderr)
+        return 2 if isinstance(error, ConfigError) else 1
+
+
+def train(config: Config, folder: Path) -> int:
+    """Trains one run and shows it.
+
+    Args:
+        config: a checked configuration.
+        folder: the run's folder, new or empty.
+
+    Returns:
+        0, or 130 if Ctrl-C ended the run early.
+    """
+    console = Console()
+    folder = folder.absolute()
+    config = dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder)))
+    folder.mkdir(parents=True, exist_ok=True)
+    console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+    with StopOnInterrupt(folder, console) as stop, Display(folder, console):
+        summary = RUNTIMES[config.runtime.name](config, folder)
+    show_summary(console, summary, folder)
+    if stop.asked:
+        console.print("Stopped early by Ctrl-C: what was learned until then is in the run folder.")
+    return INTERRUPTED if stop.asked else 0
+
+
+def new_folder(config: Config) -> Path:
+    """The folder of a run that begins now.
+
+    Raises:
+        ConfigError: ``run.dir`` is in use.
+    """
+    if config.run.dir is None:
+        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}-k{config.env.robots}-s{config.seed}"
+        folder, count = Path("runs") / stem, 1
+        while folder.exists():
+            count += 1
+            folder = Path("runs") / f"{stem}-{count}"
+        return folder
+    folder = Path(config.run.dir)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
+    return folder
+
+
+class StopOnInterrupt:
+    """Ctrl-C asks a run to end at its next aggregation; a second one ends it at once.
+
+    Args:
+        folder: the run's folder.
+        console: where to say so.
+    """
+
+    def __init__(self, folder: Path, console: Console) -> None:
+        self._file, self._console = folder / STOP_FILE, console
+        self.asked = False
+
+    def __enter__(self) -> StopOnInterrupt:
+        """Takes Ctrl-C over."""
+        self._before = signal.signal(signal.SIGINT, self._on_interrupt)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Gives Ctrl-C back."""
+        signal.signal(signal.SIGINT, self._before)
+        self._file.unlink(missing_ok=True)
+
+    def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        self._file.touch()
+        self._console.print("Stopping at the next aggregation; Ctrl-C again stops at once.")
+
+
+def _train_all(overrides: Sequence[str]) -> int:
+    """Runs every combination of a sweep, all of them checked before the first one starts."""
+    check_overrides(overrides)
+    for combination in _combinations(overrides):
+        checked(combination)
+    folder = next((item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None)
+    register_schema()
+    rest = [item for item in overrides if not item.startswith("run.dir=")]
+    before, sys.argv = sys.argv, [
+        "risfleet",
+        "--multirun",
+        *rest,
+        f"hydra.sweep.dir={folder or time.strftime('multirun/%Y-%m-%d_%H-%M-%S')}",
+        "hydra.sweep.subdir=${hydra.job.num}",
+        "hydra.output_subdir=null",
+        "hydra/job_logging=none",
+    ]
+    try:
+        hydra_main(config_path=str(FOLDER), config_name="config", version_base="1.3")(_job)()
+    finally:
+        sys.argv = before
+    return 0
+
+
+def _combinations(overrides: Sequence[str]) -> list[list[str]]:
+    ours = [item for item in overrides if not item.startswith("hydra")]
+    try:
+        parsed = OverridesParser.create().parse_overrides(ours)
+        batches = BasicSweeper.split_arguments(parsed, max_batch_size=None)
+    except HydraException as error:
+        raise ConfigError(str(error).splitlines()[0]) from error
+    return [list(combination) for batch in batches for combination in batch]
+
+
+def _job(node: DictConfig) -> None:
+    config = check(from_node(node))
+    if train(config, Path(HydraConfig.get().runtime.output_dir)) == INTERRUPTED:
+        raise KeyboardInterrupt

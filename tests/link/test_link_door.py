@@ -1,0 +1,280 @@
+"""Who gets in, who does not, and that nobody outside can disturb the run."""
+
+import logging
+import socket
+import ssl
+import time
+
+import numpy as np
+import pytest
+from link_helpers import PATIENCE_S, SHAPE, Client, Recorder, drive, token, updates
+
+from env.link.door import MAX_NEWCOMERS
+from env.link.errors import LinkError, LinkTimeout, Refused, RobotFailed, RobotLost, ServerLost
+from env.link.frames import decode, encode
+from env.link.messages import Actions, Failure, Hello, Step, Want, Welcome
+from env.link.messages import Refused as RefusedMessage
+from env.link.server import LinkServer
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"tokens": ["secret-0", "wrong"]}, "token"),
+        ({"tokens": ["secret-1", "secret-0"]}, "token"),
+        ({"tokens": ["secret-0"]}, "no client is expected with robots 0, 1"),
+        ({"robots": [0], "tokens": ["secret-0"]}, "no client is expected with robot 0"),
+        ({"robots": [1, 0]}, "no client is expected with robots 1, 0"),
+        ({"robots": [7], "tokens": ["secret-7"]}, "no client is expected with robot 7"),
+        ({"version": 99}, "version 99, the server 1"),
+        ({"fingerprint": "v2"}, "runs 'v2', the server 'v1'"),
+    ],
+)
+def test_a_wrong_hello_is_refused_with_a_reason_and_the_run_goes_on(link, caplog, change, reason):
+    clients = link.connected((0, 1), (2,))
+    link.server.tell(0, 1, Want.ACTIONS, updates(3, 0))
+    raw = link.raw().hello((0, 1), **change)
+    answer = decode(raw.receive())
+    assert isinstance(answer, RefusedMessage)
+    assert reason in answer.reason
+    assert raw.at_end()
+    link.server.actions(0)
+    drive(link.server, 3)
+    assert [client.join() for client in clients] == [None, None]
+    assert reason in caplog.text
+    assert "secret" not in caplog.text
+    assert "secret" not in answer.reason
+
+
+def test_the_client_raises_what_the_server_refuses(link):
+    link.admit((0,))
+    for changes, reason in (
+        ({"fingerprint": "v2"}, "'v2', the server 'v1'"),
+        ({"tokens": ["wrong"]}, "token"),
+    ):
+        error = link.client((0,), **changes).join()
+        assert isinstance(error, Refused)
+        assert reason in error.reason
+
+
+def test_nobody_gets_in_while_no_round_is_open(link):
+    raw = link.raw().hello((0,))
+    assert decode(raw.receive()) == RefusedMessage("no round is open")
+    for call in (
+        lambda: link.server.wait_connected(1),
+        lambda: link.server.tell(0, 1, Want.ACTIONS, updates(1, 0)),
+    ):
+        with pytest.raises(LinkError, match="no round is open"):
+            call()
+
+
+def test_tokens_of_the_round_before_are_worth_nothing(link):
+    link.server.admit([(0,)], {0: "old"}, SHAPE)
+    link.server.admit([(0,)], {0: "new"}, SHAPE)
+    assert isinstance(link.client((0,), tokens=["old"]).join(), Refused)
+    client = link.client((0,), tokens=["new"])
+    link.server.wait_connected(PATIENCE_S)
+    drive(link.server, 1)
+    assert client.join() is None
+
+
+def test_every_robot_needs_a_token(link):
+    with pytest.raises(ValueError, match=r"no token for robots \[1\]"):
+        link.server.admit([(0,), (1,)], {0: "a", 1: ""}, SHAPE)
+
+
+def test_a_client_that_does_not_come_is_named_at_the_deadline(link):
+    link.admit((0,), (1, 3), (2,))
+    link.client((0,))
+    with pytest.raises(LinkTimeout, match=r"robots 1, 2, 3 did not connect within 0.5 s"):
+        link.server.wait_connected(0.5)
+
+
+def test_the_caller_can_end_the_wait(link):
+    link.admit((0,))
+    calls = []
+
+    def poll():
+        calls.append(1)
+        if len(calls) == 3:
+            raise RuntimeError("Flower says: the client failed")
+
+    with pytest.raises(RuntimeError, match="Flower says"):
+        link.server.wait_connected(PATIENCE_S, poll)
+
+
+def test_a_client_that_leaves_before_the_start_is_noticed(link):
+    for last_words, error in ((None, RobotLost), (Failure("no disk"), RobotFailed)):
+        link.admit((0,), (1,))
+        raw = link.raw().hello((0,))
+        raw.receive()
+        if last_words:
+            raw.send(last_words)
+        raw.close()
+        with pytest.raises(error, match=r"robot 0 .* before the first step"):
+            link.server.wait_connected(PATIENCE_S)
+
+
+GARBAGE = [
+    b"GET / HTTP/1.1\r\nHost: x\r\n\r\n",
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(300),
+    encode(Hello(1, "v1", [0], ["x"]))[:8] + b"\xff\xff\xff\xff",
+    encode(Actions(0, np.zeros(1, np.int32))),
+    encode(Hello(1, "v1", [0], [token(0)])) * 2,
+    bytes(100_000),
+    b"",
+]
+
+
+def test_garbage_and_slow_newcomers_disturb_nobody(make_link, caplog):
+    link = make_link(handshake_s=0.5)
+    link.admit((0,), (1, 2))
+    slow = [link.raw().send(encode(Hello(1, "v1", [0], ["x"]))[:6]) for _ in range(3)]
+    for data in GARBAGE:
+        raw = link.raw()
+        try:
+            raw.send(data)
+        except ConnectionError:
+            continue
+        if not data:
+            raw.close()
+    clients = [link.client((0,)), link.client((1, 2))]
+    link.server.wait_connected(PATIENCE_S)
+    drive(link.server, 3)
+    assert [client.join() for client in clients] == [None, None]
+    assert all(raw.at_end() for raw in slow)
+    for reason in ("not a frame", "of at most", "must be a hello", "said no hello in time"):
+        assert reason in caplog.text
+
+
+def test_garbage_while_a_step_is_awaited_harms_nothing(link):
+    clients = link.connected((0,), (1, 2))
+    for tick in range(20):
+        link.server.tell(tick, 1, Want.ACTIONS, updates(3, tick))
+        link.raw().send(b"x" * 50)
+        link.server.actions(tick)
+    link.server.tell(20, 1, Want.FAREWELL, updates(3, 20))
+    assert [client.join() for client in clients] == [None, None]
+
+
+def test_a_crowd_at_the_door_does_not_keep_clients_out(link):
+    crowd = [socket.create_connection(link.server.address) for _ in range(MAX_NEWCOMERS + 20)]
+    (client,) = link.connected((0,))
+    drive(link.server, 1)
+    assert client.join() is None
+    for sock in crowd:
+        sock.close()
+
+
+def test_a_valid_newcomer_replaces_the_old_connection(link):
+    link.admit((0,), (1,))
+    old, other = link.raw().hello((0,)), link.client((1,))
+    link.server.wait_connected(PATIENCE_S)
+    assert decode(old.receive()) == Welcome()
+    new = link.client((0,))
+    drive(link.server, 2)
+    assert new.join() is None
+    assert other.join() is None
+    assert old.at_end()
+
+
+def test_a_replacement_in_the_middle_of_a_tick_gets_the_step_again(link, caplog):
+    caplog.set_level(logging.INFO)
+    link.admit((0,), (1,))
+    old, other = link.raw().hello((0,)), link.client((1,))
+    link.server.wait_connected(PATIENCE_S)
+    old.receive()
+    link.server.tell(0, 1, Want.ACTIONS, updates(2, 0))
+    step = old.receive()
+    old.send(encode(Actions(0, np.zeros(1, np.int32)))[:-1])
+    new = link.raw().hello((0,))
+    assert decode(new.receive()) == Welcome()
+    new.send(Actions(0, np.array([5], np.int32)))
+    assert link.server.actions(0)[0] == 5
+    again = new.receive()
+    assert again == step
+    assert isinstance(decode(again), Step)
+    assert old.at_end()
+    assert "a new connection of robot 0 replaces the old one" in caplog.text
+    link.server.close()
+    assert isinstance(other.join(), ServerLost)
+
+
+def test_a_replacement_that_came_before_the_next_step_gets_it(link):
+    link.admit((0,))
+    old = link.raw().hello((0,))
+    link.server.wait_connected(PATIENCE_S)
+    old.receive()
+    link.server.tell(0, 1, Want.ACTIONS, updates(1, 0))
+    old.receive()
+    old.send(Actions(0, np.zeros(1, np.int32)))
+    link.server.actions(0)
+    new = link.raw().hello((0,))
+    new.receive()
+    old.close()
+    time.sleep(0.1)
+    link.server.tell(1, 1, Want.ACTIONS, updates(1, 1))
+    assert decode(new.receive()).tick == 1
+    new.send(Actions(1, np.zeros(1, np.int32)))
+    link.server.actions(1)
+
+
+def test_a_port_in_use_is_one_clear_sentence(link):
+    host, port = link.server.address
+    with pytest.raises(LinkError, match=f"cannot listen on {host}:{port}: .*in use"):
+        LinkServer(host, port, fingerprint="v1", timeout_s=1)
+
+
+def test_closing_twice_is_harmless(link):
+    link.connected((0,))
+    link.server.close()
+    link.server.close()
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(link.server.address)
+
+
+def _contexts(folder):
+    x509 = pytest.importorskip("cryptography.x509")
+    import datetime
+    import ipaddress
+
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "risfleet")])
+    now = datetime.datetime.now(datetime.UTC)
+    host = x509.IPAddress(ipaddress.ip_address("127.0.0.1"))
+    certificate = (
+        x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
+        .not_valid_before(now - datetime.timedelta(days=1))
+        .not_valid_after(now + datetime.timedelta(days=1))
+        .add_extension(x509.SubjectAlternativeName([host]), False)
+        .sign(key, hashes.SHA256())
+    )
+    pem = certificate.public_bytes(serialization.Encoding.PEM)
+    private = key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+    (folder / "link.pem").write_bytes(private + pem)
+    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    server.load_cert_chain(folder / "link.pem")
+    return server, ssl.create_default_context(cadata=pem.decode())
+
+
+def test_the_same_conversation_runs_over_tls(make_link, tmp_path):
+    server_context, client_context = _contexts(tmp_path)
+    link = make_link(server_context=server_context, handshake_s=2.0)
+    link.admit((0,), (1, 2))
+    link.raw().send(b"no TLS at all" * 10)
+    link.raw()
+    clients = [link.client(block, client_context=client_context) for block in link.blocks]
+    link.server.wait_connected(PATIENCE_S)
+    drive(link.server, 3)
+    assert [client.join() for client in clients] == [None, None]
+    stranger = Client(
+        link.server, Recorder((0,)), client_context=ssl.create_default_context(), timeout_s=5
+    )
+    assert isinstance(stranger.join(), ServerLost)
