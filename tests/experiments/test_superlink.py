@@ -257,7 +257,7 @@ def test_another_port_is_taken_where_one_is_lost_in_between(
 
 
 def test_a_missing_flower_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(environment.shutil, "which", lambda *_, **__: None)
+    monkeypatch.setattr("experiments.flower.environment.shutil.which", lambda *_, **__: None)
     with pytest.raises(FlowerError, match="flower-superlink is missing"):
         environment.flower_command("flower-superlink")
 
@@ -308,11 +308,8 @@ def test_the_submitted_bundle_is_a_valid_app_and_carries_no_code(tmp_path: Path)
 def test_the_command_is_asked_where_the_control_api_is_not_understood(
     healthy: SimulationSuperLink, fake: Callable[[str, str], None]
 ) -> None:
-    fake(
-        "flwr",
-        """print('{"success": true, "runs": [{"status": "finished:failed", "status-details": "x"}]}')
-        """.strip(),
-    )
+    row = '{"status": "finished:failed", "status-details": "x"}'
+    fake("flwr", f"""print('{{"success": true, "runs": [{row}]}}')""")
     assert healthy.status(7) == Status(RunState.FAILED, "x")
 
 
@@ -358,12 +355,14 @@ def test_a_run_that_does_not_get_going_is_an_error(
 # --- The real thing ---
 
 SERVER = """
+import time
 from flwr.app import Message, RecordDict
 from flwr.serverapp import ServerApp
 app = ServerApp()
 @app.main()
 def main(grid, context):
-    nodes = list(grid.get_node_ids())
+    while len(nodes := list(grid.get_node_ids())) < 2:  # they are registered while this runs
+        time.sleep(0.05)
     ask = [Message(RecordDict(), dst_node_id=n, message_type="train") for n in nodes]
     answers = list(grid.send_and_receive(ask, timeout=120))
     good = sum(not answer.has_error() for answer in answers)
