@@ -14,7 +14,7 @@ from agent import single_threaded
 from client_app.robots import RobotGroup
 from client_app.state import load_state, save_state
 from conf import Config, fingerprint, from_yaml
-from env.link.client import serve
+from env.link import serve
 
 app = ClientApp()
 

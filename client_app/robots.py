@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from agent import DQN, epsilon_at
 from conf import Config, robot_network
-from env.link.messages import Flag, Step, Want
+from env.link import Flag, Step, Want
 from env.seeding import Stream, stream
 from env.slice import Slice
 from env.world import draw_destinations

@@ -9,8 +9,7 @@ import numpy as np
 
 from client_app.robots import RobotGroup
 from conf import Config
-from env.link.local import LocalFleet
-from env.link.messages import Want
+from env.link import LocalFleet, Want
 from server_app.session import Session
 
 

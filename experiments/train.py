@@ -21,7 +21,7 @@ from rich.console import Console
 
 from conf import Config, ConfigError, from_node, register_schema, to_yaml
 from conf.compose import FOLDER, check_overrides
-from env.link.errors import LinkError
+from env.link import LinkError
 from experiments import local, simulation
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError

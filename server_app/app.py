@@ -12,7 +12,7 @@ from flwr.app import Context
 from flwr.serverapp import Grid, ServerApp
 
 from conf import Config, ConfigError, fingerprint, flower_clients
-from env.link.server import LinkServer
+from env.link import LinkServer
 from server_app.preflight import checked, checked_yaml
 from server_app.rounds import FlowerFleet, wait_for_nodes
 from server_app.session import Session

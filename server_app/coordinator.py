@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from conf import Config
 from env import actions
-from env.link.interface import Fleet
-from env.link.messages import UPDATE, Flag, Want
+from env.link import UPDATE, Flag, Fleet, Want
 from env.tally import EpisodeMeasures, EpisodeTally
 from env.world import Outcome, World
 from server_app.access_point import AccessPoint

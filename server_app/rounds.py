@@ -18,9 +18,7 @@ from flwr.serverapp import Grid
 from numpy.typing import NDArray
 
 from conf import Config, robot_network, to_yaml, windows_per_round
-from env.link.errors import LinkTimeout
-from env.link.messages import Want
-from env.link.server import LinkServer
+from env.link import LinkServer, LinkTimeout, Want
 from server_app.session import Costs
 
 log = logging.getLogger(__name__)

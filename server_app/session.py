@@ -16,7 +16,7 @@ from safetensors.numpy import save_file
 from agent import digest, single_threaded
 from conf import Config, fingerprint, robot_network, version
 from env.drawing import trajectory_figure
-from env.link.interface import Fleet
+from env.link import Fleet
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
 from env.world import World, draw_destinations

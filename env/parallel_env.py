@@ -1,0 +1,235 @@
+"""The whole fleet as a PettingZoo parallel environment: every robot and the access point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import logger, spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
+
+from env import actions as robot_actions
+from env import checked_config
+from env.config import EnvConfig
+from env.seeding import Stream, stream
+from env.world import Outcome, World, draw_destinations
+
+if TYPE_CHECKING:
+    from env.drawing import Figure
+
+AP = "ap"
+CHANNEL_BOUND = 10.0
+"""Bound of the channel's entry: |hbar|^2 from -270 to 130 dB, more than any floor has."""
+
+Observations = dict[str, NDArray[np.float32]]
+Infos = dict[str, dict[str, Any]]
+
+
+class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
+    """K robots drive to their destinations while an access point steers an RIS for their rates.
+
+    ## Description
+
+    Each slot (1 s), each robot moves one cell of 0.5 m and picks the power of its downlink; the
+    access point sets the phases of the reconfigurable intelligent surface. Rates are those of NOMA
+    at the cells that robots leave. All of it is ``env.world.World`` with one world.
+
+    ## Agents
+
+    ``robot_0`` ... ``robot_{K-1}`` and ``ap``. A robot that has arrived leaves ``agents``.
+
+    ## Action Space
+
+    | Agent | Space               | Action                                                         |
+    |-------|---------------------|----------------------------------------------------------------|
+    | robot | ``Discrete(4 N_P)`` | direction (n, s, e, w) * N_P + level - 1; power P_max / 2^level |
+    | ap    | ``Discrete(N_R^N)`` | the N phases are its base-N_R digits, (digit + 1/2) 2 pi / N_R  |
+
+    A move out of the room stays put. Levels are picks: with ``power.resolve=project`` the AP sends
+    the nearest combination that every robot can decode.
+
+    ## Observation Space
+
+    A robot's, ``Box``, float32, shape (5,), or (3,) with ``state.destination=none``:
+
+    | Num | Observation                             | Min | Max |
+    |-----|-----------------------------------------|-----|-----|
+    | 0-1 | x and y over half the room's side, - 1  | -1  | 1   |
+    | 2   | (\\|hbar\\|^2 in dB + 70) / 20, direct channel | -10 | 10 |
+    | 3-4 | way left in x and y over the room's side | -1 | 1   |
+
+    The access point's, shape (8 K,) or (6 K,): for each robot in turn, zeros once it has arrived,
+
+    | Num | Observation                             | Min | Max |
+    |-----|-----------------------------------------|-----|-----|
+    | 0-2 | as the robot's                          |     |     |
+    | 3-4 | cos and sin of arg hbar                 | -1  | 1   |
+    | 5   | 1 while driving                         | 0   | 1   |
+    | 6-7 | the robot's 3-4                         | -1  | 1   |
+
+    ## Rewards
+
+    Not scaled. A robot: phi R + psi (distance gone towards the destination, in m) - 1, and + 100
+    where it arrives, with phi = 0.05 and psi = 3. The access point: 0.1 times the sum of rates.
+
+    ## Starting State
+
+    Each robot in a random cell at least 10 m from its destination. Destinations are the first K of
+    ``tasks.destinations_m``; further ones are drawn once, from the constructor's ``seed``.
+    ``reset(seed=s)`` begins the stream of starts anew, the one of a training run with ``seed=s``,
+    and leaves the destinations. ``options={"starts_m": [[x, y], ...]}`` sets the starts.
+
+    ## Episode End
+
+    1. Termination: of a robot, when it arrives; of the access point, when all have.
+    2. Truncation: of all that are left after T_max slots (150).
+
+    Infos of a robot hold ``rate`` (bit/s/Hz), ``power_w``, ``gain_db`` (|h|^2 with the RIS),
+    ``sic_failed`` and ``arrived`` of the slot; of the access point ``sum_rate``, ``projected`` and
+    ``margin_dropped``; after a reset, of a robot ``shortest_slots``, the length of its way.
+
+    ## Arguments
+
+    | Argument      | Default | Description                                                     |
+    |---------------|---------|-----------------------------------------------------------------|
+    | `config`      | `None`  | an `EnvConfig`, or what differs from it: `{"ris": {"side": 0}}` |
+    | `seed`        | `0`     | names drawn destinations, and the starts until `reset(seed)`    |
+    | `render_mode` | `None`  | `"rgb_array"`: a picture of the floor; `"ansi"`: text           |
+
+    ## Version History
+
+    * v0: initial version.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # PettingZoo's type
+        "name": "risfleet_v0",
+        "render_modes": ["rgb_array", "ansi"],
+        "render_fps": 10,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        config: EnvConfig | Mapping[str, Any] | None = None,
+        *,
+        seed: int = 0,
+        render_mode: str | None = None,
+    ) -> None:
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            raise ValueError(f"render_mode={render_mode!r}: allowed is None, {', '.join(modes)}")
+        self.config = checked_config(config)
+        self.render_mode = render_mode
+        destinations = draw_destinations(self.config, stream(seed, Stream.DESTINATIONS))
+        self.world = World(self.config, destinations, stream(seed, Stream.WORLD))
+        self.robots = [f"robot_{k}" for k in range(self.world.robots)]
+        self.possible_agents = [*self.robots, AP]
+        self.agents: list[str] = []
+        self._centres_m = self.world.floor.centres()
+        self._way: list[NDArray[np.int64]] = []
+        self._outcome: Outcome | None = None
+        self._picture: _Picture | None = None
+        self._make_spaces()
+
+    def _make_spaces(self) -> None:
+        observer, world = self.world.observer, self.world
+        unit, channel = [1.0], [CHANNEL_BOUND]
+        offset = unit * (observer.local_size - 3)
+        local = np.array(unit * 2 + channel + offset, dtype=np.float32)
+        high = np.array((unit * 2 + channel + unit * 3 + offset) * world.robots, dtype=np.float32)
+        low = -high
+        low[5 :: len(high) // world.robots] = 0.0
+        actions = robot_actions.count(self.config.power.levels)
+        self.observation_spaces = {name: spaces.Box(-local, local) for name in self.robots}
+        self.observation_spaces[AP] = spaces.Box(low, high)
+        self.action_spaces = {name: spaces.Discrete(actions) for name in self.robots}
+        self.action_spaces[AP] = spaces.Discrete(world.phase_actions)
+        self.state_space = self.observation_spaces[AP]
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The agent's observations; the same object at each call."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """The agent's actions; the same object at each call."""
+        return self.action_spaces[agent]
+
+    def state(self) -> NDArray[np.float32]:
+        """What the access point sees, s_G, shape (global_size,)."""
+        return self.world.global_observation()[0]
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Begins an episode; ``starts_m`` in the options is in m, shape (K, 2)."""
+        if seed is not None:
+            self.world.generator = stream(seed, Stream.WORLD)
+        starts = (options or {}).get("starts_m")
+        self.world.reset(None if starts is None else self._start_cells(starts)[None])
+        self.agents = list(self.possible_agents)
+        self._way, self._outcome = [self.world.cell[0]], None
+        shortest = self.world.floor.shortest_slots(self.world.cell[0], self.world.destinations)
+        infos: Infos = {n: {"shortest_slots": int(shortest[k])} for k, n in enumerate(self.robots)}
+        return self._observations(), {**infos, AP: {}}
+
+    def _start_cells(self, starts_m: Any) -> NDArray[np.int64]:
+        position = np.asarray(starts_m, dtype=np.float64)
+        if position.shape != (self.world.robots, 2) or not np.isfinite(position).all():
+            allowed = f"{self.world.robots} positions [x, y] in m"
+            raise ValueError(f"options.starts_m={starts_m!r}: allowed is {allowed}")
+        cell = self.world.floor.cell_at(position)
+        if (cell == self.world.destinations).any():
+            raise ValueError(f"options.starts_m={starts_m!r}: allowed is off the destination")
+        return cell
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        """One slot for all agents that are left; with none left, five empty dictionaries.
+
+        Raises:
+            ValueError: an agent's action is missing or outside its space.
+        """
+        if not self.agents:
+            if not self._way:
+                raise RuntimeError("step was called before reset")
+            return {}, {}, {}, {}, {}
+        live, cell = self.agents, self.world.cell
+        picks = np.array([[self._action(name, actions) for name in self.robots]])
+        phase = np.array([self._action(AP, actions)])
+        outcome = self.world.step(phase, *robot_actions.decode(picks, self.config.power.levels))
+        self._way.append(self.world.cell[0])
+        self._outcome = outcome
+        channel = self.world.radio_map.channel(cell, phase)[0]
+        ended = dict(zip(self.robots, outcome.arrived[0].tolist(), strict=True))
+        ended[AP] = bool(outcome.terminated[0])
+        paid = dict(zip(self.robots, outcome.local_reward[0].tolist(), strict=True))
+        paid[AP] = float(outcome.global_reward[0])
+        out_of_time = bool(outcome.truncated[0])
+        seen, infos = self._observations(), _infos(self.robots, outcome, np.abs(channel))
+        self.agents = [name for name in live if not (ended[name] or out_of_time)]
+        return (
+            {name: seen[name] for name in live},
+            {name: paid[name] for name in live},
+            {name: ended[name] for name in live},
+            {name: out_of_time and not ended[name] for name in live},
+            {name: infos[name] for name in live},
+        )
+
+    def _action(self, agent: str, actions: Mapping[str, Any]) -> int:
+        """The agent's action, checked; -1 for a robot that has arrived."""
+        if agent not in self.agents:
+            return -1
+        space = self.action_spaces[agent]
+        action = actions.get(agent)
+        if action is None or not space.contains(action):
+            allowed = f"a whole number from 0 to {space.n - 1}"
+            raise ValueError(f"action of {agent}={action!r}: allowed is {allowed}")
+        return int(action)
+
+    def _observations(self) -> Observations:
+        local = self.world.local_observations()
+        seen = {name: local[0, k].copy() for k, name in enumerate(self.robots)}
+        return {**seen, AP: self.world.global_observation(local)[0]}
