@@ -72,9 +72,7 @@ class RobotGroup:
         reached = updates["outcome_cell"]
         reward = self._slice.reward(updates["rate"], self._cell, reached, arrived)
         following = self._slice.observe(reached, updates["outcome_channel_db"])
-        self.agents.learn(
-            self._observation, self._action, reward, following, arrived, learning
-        )
+        self.agents.learn(self._observation, self._action, reward, following, arrived, learning)
 
     def upload(self) -> NDArray[np.float32]:
         """Online and target weights of each robot, float32, shape (n, 2, P)."""

@@ -33,7 +33,9 @@ class ConfigError(ValueError):
     @classmethod
     def of(cls, found: Sequence[Problem]) -> ConfigError:
         """The error for a list of problems, a sentence each."""
-        return cls("\n".join(f"{key}={_shown(value)}: allowed is {say}." for key, value, say in found))
+        return cls(
+            "\n".join(f"{key}={_shown(value)}: allowed is {say}." for key, value, say in found)
+        )
 
 
 def register_schema() -> None:
@@ -43,7 +45,7 @@ def register_schema() -> None:
 
 def _schema_node() -> DictConfig:
     """The schema as a node that can still be merged into: frozen dataclasses make it read-only."""
-    node = OmegaConf.structured(Config)
+    node: DictConfig = OmegaConf.structured(Config)
     _set_writable(node)
     return node
 
@@ -128,25 +130,61 @@ def _run_problems(config: Config) -> list[Problem]:
     checks: list[tuple[str, Any, bool, str]] = [
         ("seed", config.seed, config.seed >= 0, "a number of at least 0"),
         ("train.episodes", config.train.episodes, config.train.episodes >= 1, "at least 1"),
-        ("train.max_ticks", config.train.max_ticks, _at_least_one(config.train.max_ticks),
-         "a number of at least 1, or null"),
-        ("federation.every", federation.every, 1 <= federation.every <= 1_000_000,
-         "a number from 1 to 1000000"),
-        ("federation.windows_per_round", federation.windows_per_round,
-         _at_least_one(federation.windows_per_round), "a number of at least 1, or null"),
-        ("federation.clients", federation.clients,
-         federation.clients is None or 1 <= federation.clients <= robots, clients_say),
-        ("federation.link.port", federation.link.port, 0 <= federation.link.port <= 65535,
-         "a port from 1 to 65535, or 0 for any that is free"),
-        ("federation.link.timeout_s", federation.link.timeout_s, federation.link.timeout_s > 0,
-         "a number of seconds above 0"),
-        ("runtime.start_timeout_s", config.runtime.start_timeout_s,
-         config.runtime.start_timeout_s > 0, "a number of seconds above 0"),
+        (
+            "train.max_ticks",
+            config.train.max_ticks,
+            _at_least_one(config.train.max_ticks),
+            "a number of at least 1, or null",
+        ),
+        (
+            "federation.every",
+            federation.every,
+            1 <= federation.every <= 1_000_000,
+            "a number from 1 to 1000000",
+        ),
+        (
+            "federation.windows_per_round",
+            federation.windows_per_round,
+            _at_least_one(federation.windows_per_round),
+            "a number of at least 1, or null",
+        ),
+        (
+            "federation.clients",
+            federation.clients,
+            federation.clients is None or 1 <= federation.clients <= robots,
+            clients_say,
+        ),
+        (
+            "federation.link.port",
+            federation.link.port,
+            0 <= federation.link.port <= 65535,
+            "a port from 1 to 65535, or 0 for any that is free",
+        ),
+        (
+            "federation.link.timeout_s",
+            federation.link.timeout_s,
+            federation.link.timeout_s > 0,
+            "a number of seconds above 0",
+        ),
+        (
+            "runtime.start_timeout_s",
+            config.runtime.start_timeout_s,
+            config.runtime.start_timeout_s > 0,
+            "a number of seconds above 0",
+        ),
         ("evaluation.every", config.evaluation.every, config.evaluation.every >= 1, "at least 1"),
-        ("evaluation.episodes", config.evaluation.episodes,
-         1 <= config.evaluation.episodes <= 100_000, "a number from 1 to 100000"),
-        ("evaluation.epsilon", config.evaluation.epsilon, 0 <= config.evaluation.epsilon <= 1,
-         "a number from 0 to 1"),
+        (
+            "evaluation.episodes",
+            config.evaluation.episodes,
+            1 <= config.evaluation.episodes <= 100_000,
+            "a number from 1 to 100000",
+        ),
+        (
+            "evaluation.epsilon",
+            config.evaluation.epsilon,
+            0 <= config.evaluation.epsilon <= 1,
+            "a number from 0 to 1",
+        ),
     ]
     return [(key, value, say) for key, value, fine, say in checks if not fine]
 
@@ -169,8 +207,10 @@ def check_overrides(overrides: Sequence[str]) -> None:
         key = override.key_or_group
         if key.startswith("hydra"):
             continue
-        if override.is_delete() or override.is_add() and not override.is_force_add():
-            raise ConfigError(f"{text!r}: keys can be neither added nor deleted, only set: key=value.")
+        if override.is_delete() or (override.is_add() and not override.is_force_add()):
+            raise ConfigError(
+                f"{text!r}: keys can be neither added nor deleted, only set: key=value."
+            )
         if key in GROUPS:
             _check_choice(key, override)
         elif override.is_sweep_override():
@@ -182,8 +222,8 @@ def check_overrides(overrides: Sequence[str]) -> None:
 def _check_choice(group: str, override: Override) -> None:
     choices = sorted(path.stem for path in (FOLDER / group).glob("*.yaml"))
     values = list(override.sweep_string_iterator()) if override.is_sweep_override() else None
-    for value in values or [override.value()]:
-        if value not in choices and not (group == "experiment" and value in (None, "null")):
+    for value in values or [str(override.value())]:
+        if value not in choices:
             raise ConfigError.of([(group, value, f"one of {', '.join(choices)}")])
 
 
@@ -191,7 +231,9 @@ def _check_key(key: str) -> Any:
     """The default value at a key."""
     value: Any = Config()
     for depth, name in enumerate(parts := key.split(".")):
-        names = [f.name for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+        names = (
+            [f.name for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+        )
         if name not in names:
             above = ".".join(parts[:depth])
             raise ConfigError(_unknown_key(key, [f"{above}.{n}" if above else n for n in names]))
@@ -202,8 +244,10 @@ def _check_key(key: str) -> Any:
 def _check_value(key: str, override: Override) -> None:
     default = _check_key(key)
     if dataclasses.is_dataclass(default):
-        raise ConfigError(f"{key} is a group of keys: set one of them, such as "
-                          f"{key}.{dataclasses.fields(default)[0].name}.")
+        raise ConfigError(
+            f"{key} is a group of keys: set one of them, such as "
+            f"{key}.{dataclasses.fields(default)[0].name}."
+        )
     node = _schema_node()
     try:
         OmegaConf.update(node, key, override.value())

@@ -13,6 +13,7 @@ from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
+from numbers import Integral, Real
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -54,12 +55,16 @@ def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvCo
     """
     from env.config import EnvConfig, problems
 
-    if not isinstance(config, EnvConfig):
-        config = _replaced(EnvConfig(), {} if config is None else config, "env")
-    found = problems(config)
+    if isinstance(config, EnvConfig):
+        whole = config
+    else:
+        whole = _replaced(EnvConfig(), {} if config is None else config, "env")
+    found = problems(whole)
     if found:
-        raise ValueError("\n".join(f"{key}={value!r}: allowed is {say}" for key, value, say in found))
-    return config
+        raise ValueError(
+            "\n".join(f"{key}={value!r}: allowed is {say}" for key, value, say in found)
+        )
+    return whole
 
 
 def _replaced(base: Any, values: Any, key: str) -> Any:
@@ -89,9 +94,8 @@ def _typed(value: Any, old: Any, key: str) -> Any:
     elif isinstance(old, bool):
         kind, right = "True or False", isinstance(value, bool)
     else:
-        whole = isinstance(old, int)
-        kind = "a whole number" if whole else "a number"
-        right = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
+        kind, number = ("a whole number", Integral) if isinstance(old, int) else ("a number", Real)
+        right = isinstance(value, number) and not isinstance(value, bool)
     if not right:
         raise ValueError(f"{key}={value!r}: allowed is {kind}")
     return _as_list(value) if isinstance(old, list) else value

@@ -23,9 +23,7 @@ def decoding_order(gain: NDArray[np.float64], served: NDArray[np.bool_]) -> NDAr
     return np.argsort(np.where(served, -gain, np.inf), axis=-1, kind="stable")
 
 
-def sic_margins(
-    gain: NDArray[np.float64], power_w: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def sic_margins(gain: NDArray[np.float64], power_w: NDArray[np.float64]) -> NDArray[np.float64]:
     """Delta_k of Eq. (2): how far signal k stands out at robot k-1.
 
     Args:

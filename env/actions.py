@@ -20,9 +20,7 @@ def encode(
     return np.asarray(direction * levels + level - 1)
 
 
-def decode(
-    action: NDArray[np.int64], levels: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def decode(action: NDArray[np.int64], levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Direction index and power level 1..N_P of an action, same shape; -1 decodes as 0."""
     direction, level = np.divmod(np.maximum(action, 0), levels)
     return direction, level + 1

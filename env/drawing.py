@@ -64,14 +64,19 @@ def draw_floor(axes: Axes, config: EnvConfig, radio_map: RadioMap) -> AxesImage:
 
 def _label(axes: Axes, position: list[float], text: str, offset: tuple[int, int]) -> None:
     axes.annotate(
-        text, (position[0], position[1]), xytext=offset, textcoords="offset points",
-        ha="center", va="center", fontsize=9, weight="bold", path_effects=_OUTLINE,
+        text,
+        (position[0], position[1]),
+        xytext=offset,
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        fontsize=9,
+        weight="bold",
+        path_effects=_OUTLINE,
     )
 
 
-def draw_ways(
-    axes: Axes, ways_m: NDArray[np.float64], destinations_m: NDArray[np.float64]
-) -> None:
+def draw_ways(axes: Axes, ways_m: NDArray[np.float64], destinations_m: NDArray[np.float64]) -> None:
     """Draws where robots drove: a dot at the start, a star at the destination.
 
     Args:

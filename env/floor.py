@@ -47,12 +47,13 @@ class Floor:
     @property
     def size_m(self) -> NDArray[np.float64]:
         """Width and depth, shape (2,)."""
-        return np.array([self.columns, self.rows]) * self.cell_m
+        return np.array([self.columns, self.rows], dtype=np.float64) * self.cell_m
 
     def centres(self) -> NDArray[np.float64]:
         """The centre of each cell in m, shape (cells, 2)."""
         cell = np.arange(self.cells)
-        return (np.stack([cell % self.columns, cell // self.columns], axis=-1) + 0.5) * self.cell_m
+        place = np.stack([cell % self.columns, cell // self.columns], axis=-1)
+        return np.asarray((place + 0.5) * self.cell_m)
 
     def cell_at(self, position_m: NDArray[np.float64]) -> NDArray[np.int64]:
         """The cell that holds a position.

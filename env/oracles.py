@@ -65,7 +65,7 @@ def canonical_levels(
     """
     gain, driving = np.broadcast_arrays(gain, driving)
     count = driving.sum(axis=-1, keepdims=True)
-    return np.clip(count - _ranks(gain, driving), 1, levels)
+    return np.asarray(np.clip(count - _ranks(gain, driving), 1, levels))
 
 
 def best_phase(world: World, level: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import logger, spaces
@@ -16,9 +16,6 @@ from env.config import EnvConfig
 from env.seeding import Stream, stream
 from env.world import Outcome, World, draw_destinations
 
-if TYPE_CHECKING:
-    from env.drawing import Figure
-
 AP = "ap"
 CHANNEL_BOUND = 10.0
 """Bound of the channel's entry: |hbar|^2 from -270 to 130 dB, more than any floor has."""
@@ -28,7 +25,7 @@ Infos = dict[str, dict[str, Any]]
 
 
 class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
-    """K robots drive to their destinations while an access point steers an RIS for their rates.
+    r"""K robots drive to their destinations while an access point steers an RIS for their rates.
 
     ## Description
 
@@ -42,10 +39,10 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     ## Action Space
 
-    | Agent | Space               | Action                                                         |
-    |-------|---------------------|----------------------------------------------------------------|
-    | robot | ``Discrete(4 N_P)`` | direction (n, s, e, w) * N_P + level - 1; power P_max / 2^level |
-    | ap    | ``Discrete(N_R^N)`` | the N phases are its base-N_R digits, (digit + 1/2) 2 pi / N_R  |
+    | Agent | Space               | Action                                                        |
+    |-------|---------------------|---------------------------------------------------------------|
+    | robot | ``Discrete(4 N_P)`` | direction (n, s, e, w) * N_P + level - 1; power P_max/2^level |
+    | ap    | ``Discrete(N_R^N)`` | its N base-N_R digits are phases, (digit + 1/2) 2 pi / N_R    |
 
     A move out of the room stays put. Levels are picks: with ``power.resolve=project`` the AP sends
     the nearest combination that every robot can decode.
@@ -54,20 +51,20 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     A robot's, ``Box``, float32, shape (5,), or (3,) with ``state.destination=none``:
 
-    | Num | Observation                             | Min | Max |
-    |-----|-----------------------------------------|-----|-----|
-    | 0-1 | x and y over half the room's side, - 1  | -1  | 1   |
-    | 2   | (\\|hbar\\|^2 in dB + 70) / 20, direct channel | -10 | 10 |
-    | 3-4 | way left in x and y over the room's side | -1 | 1   |
+    | Num | Observation                                    | Min | Max |
+    |-----|------------------------------------------------|-----|-----|
+    | 0-1 | x and y over half the room's side, - 1         | -1  | 1   |
+    | 2   | (\|hbar\|^2 in dB + 70) / 20, direct channel   | -10 | 10  |
+    | 3-4 | way left in x and y over the room's side       | -1  | 1   |
 
     The access point's, shape (8 K,) or (6 K,): for each robot in turn, zeros once it has arrived,
 
-    | Num | Observation                             | Min | Max |
-    |-----|-----------------------------------------|-----|-----|
-    | 0-2 | as the robot's                          |     |     |
-    | 3-4 | cos and sin of arg hbar                 | -1  | 1   |
-    | 5   | 1 while driving                         | 0   | 1   |
-    | 6-7 | the robot's 3-4                         | -1  | 1   |
+    | Num | Observation                                    | Min | Max |
+    |-----|------------------------------------------------|-----|-----|
+    | 0-2 | the robot's 0-2                                |     |     |
+    | 3-4 | cos and sin of arg hbar                        | -1  | 1   |
+    | 5   | 1 while driving                                | 0   | 1   |
+    | 6-7 | the robot's 3-4                                | -1  | 1   |
 
     ## Rewards
 
@@ -158,7 +155,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     def state(self) -> NDArray[np.float32]:
         """What the access point sees, s_G, shape (global_size,)."""
-        return self.world.global_observation()[0]
+        return np.asarray(self.world.global_observation()[0])
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -233,3 +230,96 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         local = self.world.local_observations()
         seen = {name: local[0, k].copy() for k, name in enumerate(self.robots)}
         return {**seen, AP: self.world.global_observation(local)[0]}
+
+    def render(self) -> NDArray[np.uint8] | str | None:
+        """The floor and the ways so far: a picture, shape (480, 480, 3), or lines of text."""
+        if self.render_mode is None:
+            logger.warn('render needs render_mode="rgb_array" or "ansi" when the view is made')
+            return None
+        if not self._way:
+            raise RuntimeError("render was called before reset")
+        rate = np.zeros(self.world.robots) if self._outcome is None else self._outcome.rate[0]
+        title = (
+            f"slot {self.world.slot[0]} of {self.config.motion.max_slots},"
+            f" {self.world.driving.sum()} of {self.world.robots} driving,"
+            f" {rate.sum():.1f} bit/s/Hz"
+        )
+        ways_m = self._centres_m[np.stack(self._way)]
+        goals_m = self._centres_m[self.world.destinations]
+        if self.render_mode == "ansi":
+            rows = zip(self.robots, ways_m[-1].tolist(), goals_m.tolist(), rate, strict=True)
+            lines = (
+                f"{name} at {at} m, to {goal} m, {r:.2f} bit/s/Hz" for name, at, goal, r in rows
+            )
+            return "\n".join((title, *lines))
+        self._picture = self._picture or _Picture(self.world)
+        return self._picture.frame(ways_m, goals_m, title)
+
+    def close(self) -> None:
+        """Lets the picture go."""
+        self._picture = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the picture, which is drawn again when it is needed."""
+        return {**self.__dict__, "_picture": None}
+
+
+def parallel_env(**kwargs: Any) -> RISFleetParallelEnv:
+    """Makes the environment, under the name that PettingZoo's tools look for."""
+    return RISFleetParallelEnv(**kwargs)
+
+
+def _infos(robots: list[str], outcome: Outcome, amplitude: NDArray[np.float64]) -> Infos:
+    """The infos of a slot; ``amplitude`` is |h_k| in it, shape (K,)."""
+    sent = outcome.allocation
+    columns = {
+        "rate": outcome.rate[0],
+        "power_w": sent.power_w[0],
+        "gain_db": 20.0 * np.log10(amplitude),
+        "sic_failed": sent.sic_failed[0],
+        "arrived": outcome.arrived[0],
+    }
+    infos: Infos = {
+        name: {key: column[k].item() for key, column in columns.items()}
+        for k, name in enumerate(robots)
+    }
+    infos[AP] = {
+        "sum_rate": float(outcome.rate.sum()),
+        "projected": bool(sent.projected[0]),
+        "margin_dropped": bool(sent.margin_dropped[0]),
+    }
+    return infos
+
+
+class _Picture:
+    """The floor, drawn once; each frame adds the ways to a copy of its pixels."""
+
+    def __init__(self, world: World) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        from env import drawing
+
+        self._draw_ways = drawing.draw_ways
+        figure = Figure(figsize=(4.8, 4.8), dpi=100, layout="constrained")
+        self._canvas: Any = FigureCanvasAgg(figure)
+        self._axes = figure.subplots()
+        drawing.draw_floor(self._axes, world.config, world.radio_map)
+        self._axes.set_title(" ", fontsize=10)
+        self._canvas.draw()
+        self._floor = self._canvas.copy_from_bbox(figure.bbox)
+
+    def frame(
+        self, ways_m: NDArray[np.float64], goals_m: NDArray[np.float64], title: str
+    ) -> NDArray[np.uint8]:
+        """The pixels with the ways so far, shape (480, 480, 3)."""
+        axes, still = self._axes, len(self._axes.lines)
+        self._canvas.restore_region(self._floor)
+        self._draw_ways(axes, ways_m, goals_m)
+        axes.plot(*ways_m[-1].T, "o", color="white", mec="black", markersize=7, zorder=5)
+        axes.title.set_text(title)
+        axes.draw_artist(axes.title)
+        for line in sorted(axes.lines[still:], key=lambda line: line.get_zorder()):
+            axes.draw_artist(line)
+            line.remove()
+        return np.array(self._canvas.buffer_rgba())[..., :3].copy()

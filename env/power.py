@@ -7,7 +7,6 @@ r < count. Powers here are fractions of P_max: their sums are exact in floating 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,8 +17,8 @@ MAX_TABLE = 50_000
 
 
 def fractions(levels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """p / P_max = 2^-l of levels l >= 1, and 0 for level 0 (not served); same shape."""
-    return np.where(levels > 0, np.exp2(-levels.astype(np.float64)), 0.0)
+    """P / P_max = 2^-l of levels l >= 1, and 0 for level 0 (not served); same shape."""
+    return np.asarray(np.where(levels > 0, np.exp2(-levels.astype(np.float64)), 0.0))
 
 
 def scaled_to_budget(fraction: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -31,7 +30,7 @@ def scaled_to_budget(fraction: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns:
         The same, times 1 / sum where the sum is above 1.
     """
-    return fraction / np.maximum(fraction.sum(axis=-1, keepdims=True), 1.0)
+    return np.asarray(fraction / np.maximum(fraction.sum(axis=-1, keepdims=True), 1.0))
 
 
 def project_levels(
@@ -81,7 +80,9 @@ def project_levels(
             best = before.argmin(axis=1)
             total = np.take_along_axis(before, best[:, None], axis=1)[:, 0]
             if least_gap is not None:
-                total = np.where(power[level] - total >= least_gap[:, rank - 1, None], total, np.inf)
+                total = np.where(
+                    power[level] - total >= least_gap[:, rank - 1, None], total, np.inf
+                )
             for shift in np.unique(step):
                 at = np.flatnonzero(step == shift)
                 least[rank, at, level, shift:] = total[at, : worst - shift] + power[level]
@@ -174,9 +175,3 @@ class Projection:
             levels[short] = np.where(feasible[:, None], kept, levels[short])
             dropped[short] = ~feasible
         return levels, dropped
-
-
-Projector = Callable[
-    [NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]],
-    tuple[NDArray[np.int64], NDArray[np.bool_]],
-]

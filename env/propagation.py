@@ -22,7 +22,7 @@ def path_loss_db(
     log_d, log_f = np.log10(distance_m), np.log10(frequency_ghz)
     clear = 32.4 + 17.3 * log_d + 20.0 * log_f
     blocked = np.maximum(clear, 17.3 + 38.3 * log_d + 24.9 * log_f)
-    return np.where(los, clear, blocked)
+    return np.asarray(np.where(los, clear, blocked))
 
 
 def amplitude(loss_db: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -49,7 +49,7 @@ def small_scale_fading(
     scattered = parts[0] + 1j * parts[1]
     k = 10.0 ** (rician_k_db / 10.0)
     rician = np.sqrt(k / (k + 1.0)) + np.sqrt(1.0 / (k + 1.0)) * scattered
-    return np.where(los, rician, scattered)
+    return np.asarray(np.where(los, rician, scattered))
 
 
 def coherent_response(
@@ -73,7 +73,7 @@ def coherent_response(
 def phases(bits: int) -> NDArray[np.float64]:
     """The phase shifts that an element can take, in rad, shape (2^b,), Section II-A."""
     count = 2**bits
-    return (np.arange(count) + 0.5) * 2.0 * np.pi / count
+    return np.asarray((np.arange(count) + 0.5) * 2.0 * np.pi / count)
 
 
 def phase_settings(bits: int, subsurfaces: int) -> NDArray[np.complex128]:

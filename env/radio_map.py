@@ -89,4 +89,4 @@ def _distance(
     points_m: NDArray[np.float64], end_m: NDArray[np.float64], least_m: float = 0.5
 ) -> NDArray[np.float64]:
     """3-D distances in m, shape (P,); no shorter than half a metre, where the model ends."""
-    return np.maximum(np.linalg.norm(points_m - end_m, axis=-1), least_m)
+    return np.asarray(np.maximum(np.linalg.norm(points_m - end_m, axis=-1), least_m))

@@ -52,7 +52,7 @@ def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArr
     return weights.sum_rate * sum_rate + weights.global_offset
 
 
-def motion_energy_j(travel_s: NDArray[np.float64], motion: MotionConfig) -> NDArray[np.float64]:
+def motion_energy_j(travel_s: NDArray[np.floating], motion: MotionConfig) -> NDArray[np.float64]:
     """Energy of driving for T_k seconds: E_1 T_k v + E_2 T_k, Eq. (4).
 
     Args:
@@ -62,7 +62,7 @@ def motion_energy_j(travel_s: NDArray[np.float64], motion: MotionConfig) -> NDAr
     Returns:
         E_k in J, same shape.
     """
-    return (motion.energy_per_m_j * motion.speed_mps + motion.idle_power_w) * travel_s
+    return np.asarray((motion.energy_per_m_j * motion.speed_mps + motion.idle_power_w) * travel_s)
 
 
 def energy_efficiency(
@@ -79,6 +79,4 @@ def energy_efficiency(
     Returns:
         Energy efficiency in bit/s/Hz/J, shape (...).
     """
-    return np.asarray(
-        (rate_sum / slots / motion_energy_j(slots * slot_s, motion)).sum(axis=-1)
-    )
+    return np.asarray((rate_sum / slots / motion_energy_j(slots * slot_s, motion)).sum(axis=-1))

@@ -154,7 +154,7 @@ class World:
         arrived = drove & (self.cell == self.destinations)
         self.driving = drove & ~arrived
         self.slot = self.slot + drove.any(axis=-1)
-        terminated = ~self.driving.any(axis=-1)
+        terminated = np.asarray(~self.driving.any(axis=-1))
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
         weights = self.config.reward
         local = reward.local_reward(allocation.rate, before_m, after_m, arrived, weights)

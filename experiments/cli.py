@@ -37,7 +37,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name, rest = given[0], given[1:]
     command = _COMMANDS.get(name)
     if command is None:
-        print(f"risfleet: {name!r} is no command: there are {', '.join(_COMMANDS)}", file=sys.stderr)
+        print(
+            f"risfleet: {name!r} is no command: there are {', '.join(_COMMANDS)}", file=sys.stderr
+        )
         return 2
     try:
         return command(rest)

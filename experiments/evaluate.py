@@ -73,9 +73,7 @@ def evaluate(
     }
 
 
-def read_weights(
-    folder: Path, config: Config
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def read_weights(folder: Path, config: Config) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The online weights that a run has written: robots (K, P) and access point (P_AP,).
 
     Raises:

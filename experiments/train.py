@@ -136,18 +136,23 @@ def _train_all(overrides: Sequence[str]) -> int:
     check_overrides(overrides)
     for combination in _combinations(overrides):
         checked(combination)
-    folder = next((item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None)
+    folder = next(
+        (item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None
+    )
     register_schema()
     rest = [item for item in overrides if not item.startswith("run.dir=")]
-    before, sys.argv = sys.argv, [
-        "risfleet",
-        "--multirun",
-        *rest,
-        f"hydra.sweep.dir={folder or time.strftime('multirun/%Y-%m-%d_%H-%M-%S')}",
-        "hydra.sweep.subdir=${hydra.job.num}",
-        "hydra.output_subdir=null",
-        "hydra/job_logging=none",
-    ]
+    before, sys.argv = (
+        sys.argv,
+        [
+            "risfleet",
+            "--multirun",
+            *rest,
+            f"hydra.sweep.dir={folder or time.strftime('multirun/%Y-%m-%d_%H-%M-%S')}",
+            "hydra.sweep.subdir=${hydra.job.num}",
+            "hydra.output_subdir=null",
+            "hydra/job_logging=none",
+        ],
+    )
     try:
         hydra_main(config_path=str(FOLDER), config_name="config", version_base="1.3")(_job)()
     finally:

@@ -44,4 +44,4 @@ class AccessPoint:
 
     def weights(self) -> NDArray[np.float32]:
         """Online and target weights, float32, shape (2, P)."""
-        return self.agent.weights()[0]
+        return np.asarray(self.agent.weights()[0])

@@ -37,9 +37,7 @@ def main(grid: Grid, context: Context) -> None:
         federation=dataclasses.replace(config.federation, clients=len(nodes)),
     )
     where = config.federation.link
-    link = LinkServer(
-        where.host, where.port, fingerprint=fingerprint(), timeout_s=where.timeout_s
-    )
+    link = LinkServer(where.host, where.port, fingerprint=fingerprint(), timeout_s=where.timeout_s)
     try:
         session = Session(config, folder)
         fleet = FlowerFleet(config, grid, link, nodes, session.initial_weights())

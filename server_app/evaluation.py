@@ -91,9 +91,7 @@ class Evaluator:
         by_robot = np.ascontiguousarray(local.transpose(1, 0, 2))
         return np.asarray(q_values(self._robot, robots, by_robot).argmax(axis=-1).T)
 
-    def _best_phase(
-        self, state: NDArray[np.float32], ap: NDArray[np.float32]
-    ) -> NDArray[np.int64]:
+    def _best_phase(self, state: NDArray[np.float32], ap: NDArray[np.float32]) -> NDArray[np.int64]:
         """The access point's greedy actions, shape (B,)."""
         return np.asarray(q_values(self._ap, ap[None], state[None]).argmax(axis=-1)[0])
 

@@ -49,7 +49,11 @@ def learning_curve(
         smooth = running_mean(np.asarray(success), SMOOTHING)
         bottom.plot(episode, smooth, color="#999999", label=f"training, mean of {SMOOTHING}")
     bottom.plot(
-        evaluated_at, evaluated, "o-", color="#e4572e", markersize=4,
+        evaluated_at,
+        evaluated,
+        "o-",
+        color="#e4572e",
+        markersize=4,
         label=f"frozen, held-out starts, eps = {epsilon:g}",
     )
     bottom.set(xlabel="training episode", ylabel="robots that arrive", ylim=(-0.02, 1.05))

@@ -21,13 +21,29 @@ from server_app.coordinator import Progress
 from server_app.evaluation import Evaluator
 
 MEASURES = (
-    "success", "path_ratio", "ee", "sum_rate", "min_rate", "sic_violations", "projections",
+    "success",
+    "path_ratio",
+    "ee",
+    "sum_rate",
+    "min_rate",
+    "sic_violations",
+    "projections",
 )
 """What an evaluation reports, in ``summary.json`` and elsewhere."""
 
 METRICS = (
-    "episode", "tick", "slots", "reward", "success", "path_ratio", "ee", "sum_rate", "min_rate",
-    "sic_violations", "projections", "epsilon",
+    "episode",
+    "tick",
+    "slots",
+    "reward",
+    "success",
+    "path_ratio",
+    "ee",
+    "sum_rate",
+    "min_rate",
+    "sic_violations",
+    "projections",
+    "epsilon",
 )
 EVALUATIONS = ("episode", "tick", "cpu_s", "epsilon", *MEASURES)
 CONVERGED = 0.9
@@ -209,7 +225,7 @@ class Recorder:
 def _event_writer(folder: Path) -> Any:
     from torch.utils.tensorboard import SummaryWriter  # slow to import: only where it is wanted
 
-    return SummaryWriter(str(folder / "tensorboard"))  # type: ignore[no-untyped-call]
+    return SummaryWriter(str(folder / "tensorboard"))
 
 
 class _CsvLog:

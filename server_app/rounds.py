@@ -186,7 +186,9 @@ class FlowerFleet:
         )
         content = RecordDict({"arrays": ArrayRecord(arrays), "order": order})
         return Message(
-            content=content, message_type=MessageType.TRAIN, dst_node_id=node,
+            content=content,
+            message_type=MessageType.TRAIN,
+            dst_node_id=node,
             group_id=str(self._round),
         )
 

@@ -72,9 +72,7 @@ class Session:
         self._began = time.perf_counter()
         self._cpu_before = time.process_time()
         self.radio_map = build_radio_map(config.env)
-        self.destinations = draw_destinations(
-            config.env, stream(config.seed, Stream.DESTINATIONS)
-        )
+        self.destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         self.world = World(
             config.env, self.destinations, stream(config.seed, Stream.WORLD), 1, self.radio_map
         )
@@ -88,9 +86,7 @@ class Session:
 
     def initial_weights(self) -> NDArray[np.float32]:
         """The network that all robots start from, online and target, shape (2, P)."""
-        first = robot_network(self.config).initial_weights(
-            stream(self.config.seed, Stream.WEIGHTS)
-        )
+        first = robot_network(self.config).initial_weights(stream(self.config.seed, Stream.WEIGHTS))
         return np.stack([first, first])
 
     def train(self, fleet: Fleet, costs: Callable[[], Costs] = Costs) -> dict[str, Any]:
@@ -106,9 +102,7 @@ class Session:
         self._costs = costs
         aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
         stop = (self.folder / STOP_FILE).exists
-        run = Coordinator(
-            self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop
-        )
+        run = Coordinator(self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop)
         try:
             robots = run.run(self.initial_weights())
             self.recorder.report("finishing", run.progress)
@@ -194,9 +188,7 @@ class Session:
 def save_weights(path: Path, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
     """Writes the final weights: ``robots`` (K, 2, P) and ``ap`` (2, P_AP), online then target."""
     temporary = path.with_name(f".{path.name}")
-    save_file(
-        {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}, temporary
-    )
+    save_file({"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}, temporary)
     temporary.replace(path)
 
 

@@ -30,8 +30,8 @@ from flwr.supercore.task_identity import TaskIdentity
 from omegaconf import OmegaConf
 
 import conf
-from server_app.aggregation import Aggregator, Scope, Weights
 from conf import StrategyConfig
+from server_app.aggregation import Aggregator, Scope, Weights
 from server_app.strategies import STRATEGIES, build_aggregator, problems
 
 P = 203
