@@ -54,7 +54,7 @@ class AgentConfig:
     replay_size: int = 50_000
     learn_from: int = 128
     double: bool = False
-    huber_delta: float = 1.0
+    huber_delta: float = 0.1
     reward_scale: float = 0.1
     discount: DiscountConfig = field(default_factory=DiscountConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
@@ -79,7 +79,7 @@ def _network(config: AgentConfig) -> Iterator[Problem]:
         yield (
             "agent.hidden",
             widths,
-            f"must list at least one layer, each 1 to {WIDEST_LAYER} units wide",
+            f"a list of one layer or more, each 1 to {WIDEST_LAYER} units wide",
         )
 
 
@@ -87,42 +87,42 @@ def _learning(config: AgentConfig) -> Iterator[Problem]:
     for key in ("learning_rate", "huber_delta", "reward_scale"):
         value = getattr(config, key)
         if not (math.isfinite(value) and value > 0):
-            yield f"agent.{key}", value, "must be a finite number above 0"
+            yield f"agent.{key}", value, "a finite number above 0"
     for key in ("robot", "ap"):
         value = getattr(config.discount, key)
         if not 0 <= value < 1:
-            yield f"agent.discount.{key}", value, "must be at least 0 and below 1"
+            yield f"agent.discount.{key}", value, "at least 0 and below 1"
 
 
 def _replay(config: AgentConfig) -> Iterator[Problem]:
     for key in ("batch_size", "replay_size", "learn_from"):
         value = getattr(config, key)
         if not _is_integer(value) or value < 1:
-            yield f"agent.{key}", value, "must be a whole number of at least 1"
+            yield f"agent.{key}", value, "a whole number of at least 1"
     for key in ("batch_size", "learn_from"):
         value = getattr(config, key)
         if value > config.replay_size:
-            yield f"agent.{key}", value, f"must be at most agent.replay_size={config.replay_size}"
+            yield f"agent.{key}", value, f"at most agent.replay_size={config.replay_size}"
 
 
 def _schedules(config: AgentConfig) -> Iterator[Problem]:
     target, epsilon = config.target, config.epsilon
     if not _is_integer(target.every) or target.every < 1:
-        yield "agent.target.every", target.every, "must be a whole number of at least 1"
+        yield "agent.target.every", target.every, "a whole number of at least 1"
     if target.tau is not None and not 0 < target.tau <= 1:
-        yield "agent.target.tau", target.tau, "must be null, or above 0 and at most 1"
+        yield "agent.target.tau", target.tau, "null, or above 0 and at most 1"
     for key in ("start", "end"):
         value = getattr(epsilon, key)
         if not 0 <= value <= 1:
-            yield f"agent.epsilon.{key}", value, "must be from 0 to 1"
+            yield f"agent.epsilon.{key}", value, "from 0 to 1"
     if epsilon.end > epsilon.start:
         yield (
             "agent.epsilon.end",
             epsilon.end,
-            f"must be at most agent.epsilon.start={epsilon.start}",
+            f"at most agent.epsilon.start={epsilon.start}",
         )
     if not _is_integer(epsilon.ticks) or epsilon.ticks < 1:
-        yield "agent.epsilon.ticks", epsilon.ticks, "must be a whole number of at least 1"
+        yield "agent.epsilon.ticks", epsilon.ticks, "a whole number of at least 1"
 
 
 def _is_integer(value: object) -> bool:

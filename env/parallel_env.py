@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import logger, spaces
@@ -139,13 +139,15 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         low = -high
         low[5 :: len(high) // world.robots] = 0.0
         actions = robot_actions.count(self.config.power.levels)
-        self.observation_spaces = {name: spaces.Box(-local, local) for name in self.robots}
-        self.observation_spaces[AP] = spaces.Box(low, high)
+        self.observation_spaces: dict[str, spaces.Box[np.float32]] = {
+            name: spaces.Box(-local, local, dtype=np.float32) for name in self.robots
+        }
+        self.observation_spaces[AP] = spaces.Box(low, high, dtype=np.float32)
         self.action_spaces = {name: spaces.Discrete(actions) for name in self.robots}
         self.action_spaces[AP] = spaces.Discrete(world.phase_actions)
         self.state_space = self.observation_spaces[AP]
 
-    def observation_space(self, agent: str) -> spaces.Box:
+    def observation_space(self, agent: str) -> spaces.Box[np.float32]:
         """The agent's observations; the same object at each call."""
         return self.observation_spaces[agent]
 
@@ -302,7 +304,7 @@ class _Picture:
 
         self._draw_ways = drawing.draw_ways
         figure = Figure(figsize=(4.8, 4.8), dpi=100, layout="constrained")
-        self._canvas: Any = FigureCanvasAgg(figure)
+        self._canvas = cast(Any, FigureCanvasAgg(figure))
         self._axes = figure.subplots()
         drawing.draw_floor(self._axes, world.config, world.radio_map)
         self._axes.set_title(" ", fontsize=10)

@@ -30,13 +30,28 @@ LABELS = {
 assert set(LABELS) == set(MEASURES)
 
 
+_NOTHING_YET: dict[str, Any] = {
+    "message": "",
+    "tick": 0,
+    "episode": 0,
+    "episodes": 1,
+    "max_ticks": None,
+    "steps_per_s": 0.0,
+    "slots": None,
+    "reward": None,
+    "ee": None,
+    "success": None,
+    "evaluated": None,
+}
+"""What a run that failed before its first tick could not say."""
+
+
 def read_progress(folder: Path) -> dict[str, Any] | None:
     """What a run last wrote to ``progress.json``; None if it has not yet."""
     try:
-        content: dict[str, Any] = json.loads((folder / "progress.json").read_text())
+        return _NOTHING_YET | json.loads((folder / "progress.json").read_text())
     except (OSError, ValueError):
         return None
-    return content
 
 
 def share_done(status: dict[str, Any]) -> float:

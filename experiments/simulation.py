@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from conf import Config, flower_clients, to_yaml
-from experiments.flower import FlowerError, RunState, SimulationSuperLink
+from experiments.display import read_progress
+from experiments.flower import FlowerError, RunState, SimulationSuperLink, Status
 
-POLL_S = 0.5
+POLL_S = 1.0
+LOG_NAME = "flower.log"
 
 
 def train(config: Config, folder: Path) -> dict[str, Any]:
@@ -29,16 +31,21 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     """
     written = folder / "config.yaml"
     written.write_text(to_yaml(config))
-    with SimulationSuperLink(log_path=folder / "flower.log") as superlink:
+    with SimulationSuperLink(log_path=folder / LOG_NAME) as superlink:
         run_id = superlink.submit(
             clients=flower_clients(config), overrides=shlex.quote(f"@{written}")
         )
         while not (status := superlink.status(run_id)).finished:
             time.sleep(POLL_S)
         if status.state is not RunState.COMPLETED:
-            raise FlowerError(
-                f"The run ended as {status.state} {status.details}".strip(),
-                superlink.log_tail(run_id),
-            )
+            raise FlowerError(*_failure(folder, status, superlink.log_tail(run_id)))
     summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
     return summary
+
+
+def _failure(folder: Path, status: Status, log_tail: str) -> tuple[str, str]:
+    """What went wrong in one sentence, and the log where the run itself could not say."""
+    progress = read_progress(folder)
+    if progress is not None and progress["state"] == "failed":
+        return f"The run failed: {progress['message']} (log: {folder / LOG_NAME})", ""
+    return f"The run ended as {status.state}. {status.details}".strip(), log_tail

@@ -7,6 +7,7 @@ import logging
 import shlex
 import time
 from pathlib import Path
+from typing import Any
 
 from flwr.app import Context
 from flwr.serverapp import Grid, ServerApp
@@ -14,6 +15,7 @@ from flwr.serverapp import Grid, ServerApp
 from conf import Config, ConfigError, fingerprint, flower_clients
 from env.link import LinkServer
 from server_app.preflight import checked, checked_yaml
+from server_app.recorder import report_failure
 from server_app.rounds import FlowerFleet, wait_for_nodes
 from server_app.session import Session
 
@@ -30,21 +32,30 @@ def main(grid: Grid, context: Context) -> None:
     """Runs one training run on the clients that the federation has."""
     config = _config(str(context.run_config.get("overrides", "")))
     folder = Path(config.run.dir or f"runs/{time.strftime('%Y-%m-%d_%H-%M-%S')}").absolute()
-    nodes = _nodes(grid, config)
-    config = dataclasses.replace(
-        config,
-        run=dataclasses.replace(config.run, dir=str(folder)),
-        federation=dataclasses.replace(config.federation, clients=len(nodes)),
-    )
+    try:
+        summary = _train(grid, config, folder)
+    except Exception as error:
+        report_failure(folder, error)
+        raise
+    log.info("run folder %s, success %.3f", folder, summary["evaluation"]["eps05"]["success"])
+
+
+def _train(grid: Grid, config: Config, folder: Path) -> dict[str, Any]:
+    """Deals the robots to the federation's nodes and trains with them."""
     where = config.federation.link
     link = LinkServer(where.host, where.port, fingerprint=fingerprint(), timeout_s=where.timeout_s)
     try:
+        nodes = _nodes(grid, config)
+        config = dataclasses.replace(
+            config,
+            run=dataclasses.replace(config.run, dir=str(folder)),
+            federation=dataclasses.replace(config.federation, clients=len(nodes)),
+        )
         session = Session(config, folder)
         fleet = FlowerFleet(config, grid, link, nodes, session.initial_weights())
-        summary = session.train(fleet, fleet.costs)
+        return session.train(fleet, fleet.costs)
     finally:
         link.close("the run has ended")
-    log.info("run folder %s, success %.3f", folder, summary["evaluation"]["eps05"]["success"])
 
 
 def _config(overrides: str) -> Config:

@@ -84,7 +84,6 @@ class Coordinator:
         self._aggregator = aggregator
         self._observer = observer
         self._stop = stop
-        self._levels = config.env.power.levels
         self.progress = Progress()
         self.stopped = False
         self.waited_s = 0.0
@@ -120,37 +119,48 @@ class Coordinator:
 
     def _play_window(self, window: int) -> bool:
         """Plays the ticks of a window; returns whether the run ends with it."""
-        ticks = self._config.federation.every
-        world, fleet, ap = self._world, self._fleet, self._ap
-        local = world.local_observations()
-        state = world.global_observation(local)
-        fleet.tell(self.progress.tick, window, Want.ACTIONS, self._updates())
-        want = Want.ACTIONS
-        for left in reversed(range(ticks)):
-            if self.progress.tick == 0:
-                self._observer.on_start()
-            phase = ap.act(state, self.progress.tick)
-            began = time.perf_counter()
-            chosen = fleet.actions(self.progress.tick).astype(np.int64)
-            self.waited_s += time.perf_counter() - began
-            outcome = world.step(phase, *actions.decode(chosen[None], self._levels))
+        updates = self._updates()
+        self._observe_into(updates)
+        self._fleet.tell(self.progress.tick, window, Want.ACTIONS, updates)
+        self._state = self._world.global_observation()
+        if self.progress.tick == 0:
+            self._observer.on_start()
+        for left in reversed(range(self._config.federation.every)):
+            phase = self._ap.act(self._state, self.progress.tick)
+            outcome = self._world.step(phase, *self._robots_actions())
             self.progress.tick += 1
-            updates = self._updates(outcome)
-            following = world.global_observation()
-            terminal = outcome.terminated
-            self._tally.add(outcome)
-            if outcome.terminated[0] or outcome.truncated[0]:
-                self._end_episode()
-                state_next = world.global_observation()
-            else:
-                state_next = following
-            if left == 0:
-                want = Want.FAREWELL if self._is_over() else Want.WEIGHTS
-            self._observe_into(updates)
-            fleet.tell(self.progress.tick, window, want, updates)
-            ap.learn(state, phase, outcome.global_reward, following, terminal)
-            state = state_next
+            want = self._pass_on(window, phase, outcome, last=left == 0)
         return want is Want.FAREWELL
+
+    def _robots_actions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Waits for the robots' actions: directions and power levels, shape (1, K) each."""
+        began = time.perf_counter()
+        chosen = self._fleet.actions(self.progress.tick).astype(np.int64)
+        self.waited_s += time.perf_counter() - began
+        return actions.decode(chosen[None], self._config.env.power.levels)
+
+    def _pass_on(
+        self, window: int, phase: NDArray[np.int64], outcome: Outcome, *, last: bool
+    ) -> Want:
+        """Tells the robots what their actions brought, and learns from it while they do.
+
+        Returns:
+            What the robots were asked for.
+        """
+        updates = self._updates(outcome)
+        seen, following = self._state, self._world.global_observation()
+        self._state = following
+        self._tally.add(outcome)
+        if outcome.terminated[0] or outcome.truncated[0]:
+            self._end_episode()
+            self._state = self._world.global_observation()
+        self._observe_into(updates)
+        want = Want.ACTIONS
+        if last:
+            want = Want.FAREWELL if self._is_over() else Want.WEIGHTS
+        self._fleet.tell(self.progress.tick, window, want, updates)
+        self._ap.learn(seen, phase, outcome.global_reward, following, outcome.terminated)
+        return want
 
     def _end_episode(self) -> None:
         self.progress.episodes += 1
@@ -167,17 +177,15 @@ class Coordinator:
         return enough or late or self.stopped
 
     def _updates(self, outcome: Outcome | None = None) -> np.ndarray:
-        """The robots' records: what an outcome told them, if there is one; else a first sight."""
+        """The robots' records, so far with what an outcome told them, if there is one."""
         world = self._world
         updates = np.zeros(world.robots, dtype=UPDATE)
-        if outcome is None:
-            self._observe_into(updates)
-            return updates
-        updates["flags"] = outcome.drove[0] * Flag.OUTCOME.value
-        updates["flags"] |= outcome.arrived[0] * np.uint16(Flag.ARRIVED)
-        updates["outcome_cell"] = world.cell[0]
-        updates["outcome_channel_db"] = world.radio_map.direct_db[world.cell[0]]
-        updates["rate"] = outcome.rate[0]
+        if outcome is not None:
+            updates["flags"] = outcome.drove[0] * np.uint16(Flag.OUTCOME)
+            updates["flags"] |= outcome.arrived[0] * np.uint16(Flag.ARRIVED)
+            updates["outcome_cell"] = world.cell[0]
+            updates["outcome_channel_db"] = world.radio_map.direct_db[world.cell[0]]
+            updates["rate"] = outcome.rate[0]
         return updates
 
     def _observe_into(self, updates: np.ndarray) -> None:

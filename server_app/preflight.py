@@ -19,7 +19,8 @@ def max_concurrent_clients() -> int:
     It uses a bare ``ThreadPoolExecutor``, which has min(32, cores + 4) workers. Robots in
     lockstep wait for each other, so one client more would never start.
     """
-    return min(MOST_WORKERS, (os.cpu_count() or 1) + WORKERS_BEYOND_CORES)
+    cores = getattr(os, "process_cpu_count", os.cpu_count)() or 1
+    return min(MOST_WORKERS, cores + WORKERS_BEYOND_CORES)
 
 
 def check(config: Config) -> Config:

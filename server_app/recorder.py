@@ -57,6 +57,15 @@ def write_atomically(path: Path, text: str) -> None:
     temporary.replace(path)
 
 
+def report_failure(folder: Path, error: BaseException) -> None:
+    """Writes to a run's ``progress.json`` that it failed, and why."""
+    path = folder / "progress.json"
+    status: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    status |= {"state": "failed", "message": f"{type(error).__name__}: {error}"}
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, json.dumps(status))
+
+
 @dataclass
 class History:
     """What a run has shown so far: a row an episode and a row an evaluation, explored and greedy.
@@ -130,6 +139,7 @@ class Recorder:
         self.evaluation_s = 0.0
         self.began = self.started = time.perf_counter()
         self._written = 0.0
+        self._ended: float | None = None
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "config.yaml").write_text(to_yaml(config))
         self._metrics = _CsvLog(folder / "metrics.csv", METRICS)
@@ -181,7 +191,13 @@ class Recorder:
 
     def steps_per_s(self, progress: Progress) -> float:
         """Joint steps per second since the first one, evaluations included."""
-        return progress.tick / max(time.perf_counter() - self.started, 1e-9)
+        until = self._ended or time.perf_counter()
+        return progress.tick / max(until - self.started, 1e-9)
+
+    def end_training(self) -> float:
+        """Stops the clock of ``steps_per_s``; returns the seconds since the first tick."""
+        self._ended = time.perf_counter()
+        return self._ended - self.started
 
     def report(self, state: str, progress: Progress, message: str = "") -> None:
         """Writes ``progress.json`` for whoever watches from outside."""

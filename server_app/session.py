@@ -24,7 +24,13 @@ from server_app.access_point import AccessPoint
 from server_app.coordinator import Coordinator
 from server_app.evaluation import Evaluator, trajectories
 from server_app.figures import learning_curve
-from server_app.recorder import MEASURES, Recorder, evaluate, write_atomically
+from server_app.recorder import (
+    MEASURES,
+    Recorder,
+    evaluate,
+    report_failure,
+    write_atomically,
+)
 from server_app.strategies import build_aggregator
 
 STOP_FILE = "stop"
@@ -105,22 +111,22 @@ class Session:
         run = Coordinator(self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop)
         try:
             robots = run.run(self.initial_weights())
+            trained_s = self.recorder.end_training()
             self.recorder.report("finishing", run.progress)
-            summary = self._finish(run, robots, shared=aggregator is not None)
+            summary = self._finish(run, robots, trained_s, shared=aggregator is not None)
             self.recorder.report("done", run.progress)
         except BaseException as error:
-            self.recorder.report("failed", run.progress, f"{type(error).__name__}: {error}")
+            self.recorder.report("training", run.progress)
+            report_failure(self.folder, error)
             raise
         finally:
             self.recorder.close()
         return summary
 
     def _finish(
-        self, run: Coordinator, robots: NDArray[np.float32], *, shared: bool
+        self, run: Coordinator, robots: NDArray[np.float32], trained_s: float, *, shared: bool
     ) -> dict[str, Any]:
         """Evaluates the final weights, and writes weights, summary and figures."""
-        trained_s = time.perf_counter() - self.recorder.started
-        steps_per_s = self.recorder.steps_per_s(run.progress)
         ap = self.ap.weights()
         save_weights(self.folder / "weights.safetensors", robots, ap)
         online = robots[:1, 0] if shared else robots[:, 0]
@@ -145,7 +151,7 @@ class Session:
             "evaluation_s": self.recorder.evaluation_s,
             "waited_s": run.waited_s,
             "cpu_s": self.cpu_s(),
-            "steps_per_s": steps_per_s,
+            "steps_per_s": self.recorder.steps_per_s(run.progress),
             "flower_share": costs.flower_s / trained_s,
             "costs": asdict(costs),
             "converged": history.converged(),

@@ -1,6 +1,6 @@
 """Launchers of Flower's runtimes: what they start ends with them."""
 
-from experiments.flower.environment import FlowerError, max_concurrent_clients
+from experiments.flower.environment import FlowerError
 from experiments.flower.manifest import Components
 from experiments.flower.superlink import RunState, SimulationSuperLink, Status
 
@@ -10,5 +10,4 @@ __all__ = [
     "RunState",
     "SimulationSuperLink",
     "Status",
-    "max_concurrent_clients",
 ]

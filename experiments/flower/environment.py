@@ -38,15 +38,6 @@ class FlowerError(RuntimeError):
         super().__init__(f"{message}\n{log.rstrip()}" if log.strip() else message)
 
 
-def max_concurrent_clients() -> int:
-    """Clients that Flower's simulation engine runs at the same time on this machine.
-
-    It runs them in a `ThreadPoolExecutor()` of the default size, whatever Ray could hold.
-    """
-    cpus = getattr(os, "process_cpu_count", os.cpu_count)() or 1
-    return min(32, cpus + 4)
-
-
 def child_environment(home: Path, marker: str) -> dict[str, str]:
     """Environment of a session's processes: ours, with Flower and Ray turned to the private home.
 

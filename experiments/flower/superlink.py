@@ -17,12 +17,12 @@ from experiments.flower.environment import (
     FlowerError,
     flower_command,
     free_port,
-    max_concurrent_clients,
     port_in_use,
     tail,
 )
 from experiments.flower.manifest import Components, write_connection
 from experiments.flower.session import Session
+from server_app.preflight import max_concurrent_clients
 
 if TYPE_CHECKING:
     import subprocess

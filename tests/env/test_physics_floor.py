@@ -135,7 +135,8 @@ def test_destinations_of_the_configuration_come_first_and_draw_nothing():
     generator = stream(0, Stream.DESTINATIONS)
     centres = Floor.from_config(config).centres()
     chosen = draw_destinations(config, generator)
-    assert centres[chosen].tolist() == [[27.25, 12.25], [4.25, 10.25], [22.25, 2.25], [26.25, 24.25]]
+    expected = [[27.25, 12.25], [4.25, 10.25], [22.25, 2.25], [26.25, 24.25]]
+    assert centres[chosen].tolist() == expected
     assert generator.random() == stream(0, Stream.DESTINATIONS).random()
 
 

@@ -36,7 +36,7 @@ def crosses_the_default_wall(at, end):
 
 
 def literal_channel(config, cell, theta, direct):
-    """h Theta g + hbar with the M x M matrix diag(Theta), as the paper writes it."""
+    """The sum h Theta g + hbar with the M x M matrix diag(Theta), as the paper writes it."""
     ap, ris, at = (15, 30, 2), (30, 7.5, 2), literal_position(cell)
     m, n = config.ris.side**2, config.ris.subsurfaces
     clear = not crosses_the_default_wall(at, ris)
@@ -46,7 +46,9 @@ def literal_channel(config, cell, theta, direct):
     return (h @ np.diag(each) @ g)[0, 0] + direct
 
 
-@pytest.mark.parametrize(("side", "subsurfaces", "bits"), [(4, 1, 2), (4, 4, 1), (6, 3, 2), (30, 1, 2)])
+@pytest.mark.parametrize(
+    ("side", "subsurfaces", "bits"), [(4, 1, 2), (4, 4, 1), (6, 3, 2), (30, 1, 2)]
+)
 def test_the_tables_give_the_papers_channel(side, subsurfaces, bits):
     config = EnvConfig(ris=RisConfig(side=side, subsurfaces=subsurfaces, bits=bits))
     tables = build_radio_map(config)
@@ -138,7 +140,9 @@ def test_building_a_map_touches_no_global_generator():
     assert (after[1] == legacy[1]).all()
 
 
-@pytest.mark.parametrize(("side", "everywhere_db", "shadow_db"), [(20, 5.5, 11.2), (30, 8.5, 16.6), (40, 11.1, 20.9)])
+@pytest.mark.parametrize(
+    ("side", "everywhere_db", "shadow_db"), [(20, 5.5, 11.2), (30, 8.5, 16.6), (40, 11.1, 20.9)]
+)
 def test_the_best_of_four_phases_gains_as_much_as_the_papers_figures_need(
     side, everywhere_db, shadow_db
 ):

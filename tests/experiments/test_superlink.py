@@ -27,7 +27,6 @@ from experiments.flower import (
     commands,
     control,
     environment,
-    max_concurrent_clients,
     processes,
     superlink,
 )

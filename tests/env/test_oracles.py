@@ -1,0 +1,178 @@
+"""Oracles find what an exhaustive look over plain slots finds, and nothing beats them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from env import checked_config, oracles
+from env.floor import STEPS
+from env.radio_map import build_radio_map
+from env.seeding import Stream, stream
+from env.world import World, draw_destinations
+
+CONFIGS: dict[str, dict[str, Any]] = {
+    "project": {},
+    "no_margin_kept": {"robots": 4, "ris": {"side": 0}, "power": {"max_dbm": 0.0}},
+    "one_robot": {"robots": 1},
+    "two_subsurfaces": {"robots": 2, "ris": {"subsurfaces": 2}, "power": {"levels": 4}},
+    "residual": {"robots": 3, "power": {"resolve": "residual", "levels": 3}},
+    "zero": {"robots": 2, "power": {"resolve": "zero", "levels": 4}},
+}
+few = settings(max_examples=15, deadline=None)
+
+
+@cache
+def shared(name: str) -> World:
+    config = checked_config(CONFIGS[name])
+    destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
+    return World(config, destinations, stream(0, Stream.WORLD), 3, build_radio_map(config))
+
+
+@st.composite
+def worlds(draw: st.DrawFn, names: tuple[str, ...] = tuple(CONFIGS)) -> World:
+    """Worlds with robots anywhere, some of them no longer driving."""
+    world = shared(draw(st.sampled_from(names)))
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    world.reset(random.integers(world.floor.cells, size=(3, world.robots)))
+    world.driving &= random.random(world.cell.shape) < 0.8
+    return world
+
+
+def slot_rate(
+    world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """sum_k R_k of a slot that is then taken back, shape (B,)."""
+    cell, driving, slot = world.cell, world.driving, world.slot
+    outcome = world.step(phase, np.zeros_like(level), level)
+    world.cell, world.driving, world.slot = cell, driving, slot
+    return np.asarray(outcome.rate.sum(axis=-1))
+
+
+@given(world=worlds(), data=st.data())
+@few
+def test_no_fixed_phase_beats_the_best_phase(world: World, data: st.DataObject) -> None:
+    random = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    level = random.integers(1, world.config.power.levels + 1, size=world.cell.shape)
+    fixed = [slot_rate(world, np.full(3, phase), level) for phase in range(world.phase_actions)]
+    best = slot_rate(world, oracles.best_phase(world, level), level)
+    np.testing.assert_allclose(best, np.max(fixed, axis=0), rtol=1e-12)
+
+
+@given(world=worlds(), data=st.data())
+@few
+def test_no_picks_beat_the_best_powers(world: World, data: st.DataObject) -> None:
+    phase, level = oracles.best_phase_and_powers(world)
+    best = slot_rate(world, phase, level)
+    random = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    for _ in range(20):
+        picks = random.integers(1, world.config.power.levels + 1, size=world.cell.shape)
+        assert (slot_rate(world, oracles.best_phase(world, picks), picks) <= best + 1e-9).all()
+
+
+@pytest.mark.parametrize("name", ["two_subsurfaces", "residual", "zero"])
+def test_best_powers_are_those_of_a_plain_search(name: str) -> None:
+    world = shared(name)
+    world.reset(np.random.default_rng(8).integers(world.floor.cells, size=(3, world.robots)))
+    every = product(range(1, world.config.power.levels + 1), repeat=world.robots)
+    tried = [
+        slot_rate(world, np.full(3, phase), np.tile(picks, (3, 1)))
+        for picks in every
+        for phase in range(world.phase_actions)
+    ]
+    best = slot_rate(world, *oracles.best_phase_and_powers(world))
+    np.testing.assert_allclose(best, np.max(tried, axis=0), rtol=1e-12)
+
+
+def test_the_best_powers_are_sent_as_they_are() -> None:
+    world = shared("project")
+    for _ in range(5):
+        world.reset()
+        phase, level = oracles.best_phase_and_powers(world)
+        outcome = world.step(phase, np.zeros_like(level), level)
+        kept = ~outcome.allocation.margin_dropped
+        assert not outcome.allocation.projected[kept].any()
+
+
+def test_a_search_in_parts_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = shared("project")
+    world.reset(np.random.default_rng(3).integers(world.floor.cells, size=(9, world.robots)))
+    whole = oracles.best_phase_and_powers(world)
+    monkeypatch.setattr(oracles, "MAX_COMBINATIONS", 200)
+    for part, all_at_once in zip(oracles.best_phase_and_powers(world), whole, strict=True):
+        np.testing.assert_array_equal(part, all_at_once)
+    monkeypatch.setattr(oracles, "MAX_COMBINATIONS", 10)
+    with pytest.raises(ValueError, match=r"env.power.levels=6: with 3 robots .* allowed are 10"):
+        oracles.best_phase_and_powers(world)
+
+
+def test_with_nobody_driving_there_is_nothing_to_choose() -> None:
+    world = shared("project")
+    world.reset()
+    world.driving &= False
+    phase, level = oracles.best_phase_and_powers(world)
+    np.testing.assert_array_equal(phase, 0)
+    np.testing.assert_array_equal(level, 1)
+    np.testing.assert_array_equal(oracles.best_phase(world, level), 0)
+
+
+def test_without_a_surface_all_phases_are_one() -> None:
+    world = shared("no_margin_kept")
+    world.reset()
+    gain = oracles.phase_gains(world)
+    np.testing.assert_array_equal(gain, np.broadcast_to(gain[:, :1], gain.shape))
+    np.testing.assert_array_equal(oracles.best_phase(world, np.ones_like(world.cell)), 0)
+
+
+def test_canonical_levels_give_the_weakest_robot_most() -> None:
+    gain = np.array([[3.0, 1.0, 2.0, 2.0], [3.0, 1.0, 2.0, 2.0]])
+    driving = np.array([[True] * 4, [True, True, False, True]])
+    levels = oracles.canonical_levels(gain, driving, 6)
+    np.testing.assert_array_equal(levels, [[4, 1, 3, 2], [3, 1, 1, 2]])
+    np.testing.assert_array_equal(oracles.canonical_levels(gain, driving, 2)[0], [2, 1, 2, 2])
+
+
+@given(world=worlds(("project", "no_margin_kept", "one_robot", "two_subsurfaces")))
+@few
+def test_canonical_powers_are_sent_as_they_are_unless_the_margin_is_short(world: World) -> None:
+    config = world.config
+    gain = oracles.phase_gains(world)[:, 0]
+    level = oracles.canonical_levels(gain, world.driving, config.power.levels)
+    free = World(
+        replace(config, power=replace(config.power, sic_margin=0.0)),
+        world.destinations,
+        world.generator,
+        3,
+        world.radio_map,
+    )
+    assert not free.downlink.allocate(gain, level, world.driving).projected.any()
+
+
+@given(start=st.integers(0, 3599), goal=st.integers(0, 3599))
+@few
+def test_shortest_directions_take_the_manhattan_length(start: int, goal: int) -> None:
+    floor = shared("project").floor
+    cell, destination = np.array([start]), np.array([goal])
+    for left in range(int(floor.shortest_slots(cell, destination)[0]), 0, -1):
+        assert floor.shortest_slots(cell, destination)[0] == left
+        direction = oracles.shortest_directions(floor, cell, destination)
+        cell = floor.neighbours()[cell, direction]
+    assert cell == destination
+
+
+def test_shortest_directions_take_the_longer_axis_first() -> None:
+    floor = shared("project").floor
+    goal = np.array([30 * 60 + 30])
+    for across, up, step in ((3, 1, (1, 0)), (-3, 2, (-1, 0)), (1, 2, (0, 1)), (2, -3, (0, -1))):
+        cell = goal - across - up * 60
+        direction = oracles.shortest_directions(floor, cell, goal)
+        assert tuple(STEPS[direction[0]]) == step
+    assert tuple(STEPS[oracles.shortest_directions(floor, goal - 2 - 120, goal)[0]]) == (1, 0)
