@@ -1,7 +1,7 @@
 """What an agent can be told: the schema of the Hydra group ``agent`` and its checks.
 
-The defaults are Section 4 of the specification: the values the paper gives, and, where it
-gives none, those measured on the prototype.
+The defaults are the values the paper gives and, where it gives none, those that were measured
+(docs/assumptions.md).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 Problem = tuple[str, Any, str]
@@ -143,6 +143,7 @@ class EnvConfig:
 MAX_ROBOTS = 64
 MAX_POWER_LEVELS = 48  # sums of the levels stay exact in float64
 MAX_PHASE_ACTIONS = 4096
+MAX_CELLS = 250_000
 CHOICES: dict[str, tuple[str, ...]] = {
     "env.access": ("noma",),
     "env.metric": ("qos",),
@@ -154,7 +155,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
 
 def problems(config: EnvConfig) -> list[Problem]:
     """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
-    found = [*_choice_problems(config), *_range_problems(config)]
+    found = [*_choice_problems(config), *(_finite_problems(config) or _range_problems(config))]
     if not found:
         found += [*_geometry_problems(config), *_combination_problems(config)]
     return found
@@ -175,10 +176,19 @@ def _choice_problems(config: EnvConfig) -> list[Problem]:
     ]
 
 
+def _finite_problems(values: Any, above: str = "env") -> list[Problem]:
+    found: list[Problem] = []
+    for item in fields(values):
+        key, value = f"{above}.{item.name}", getattr(values, item.name)
+        if is_dataclass(value):
+            found += _finite_problems(value, key)
+        elif isinstance(value, float) and not math.isfinite(value):
+            found.append((key, value, "a finite number"))
+    return found
+
+
 def _range_problems(config: EnvConfig) -> list[Problem]:
     positive = (
-        "env.room.width_m",
-        "env.room.depth_m",
         "env.room.cell_m",
         "env.motion.speed_mps",
         "env.motion.idle_power_w",
@@ -187,7 +197,6 @@ def _range_problems(config: EnvConfig) -> list[Problem]:
     )
     not_negative = (
         "env.map_seed",
-        "env.ris.side",
         "env.motion.energy_per_m_j",
         "env.motion.antenna_height_m",
         "env.tasks.destination_spacing_m",
@@ -225,6 +234,8 @@ def _geometry_problems(config: EnvConfig) -> list[Problem]:
         cells = side / room.cell_m
         if abs(cells - round(cells)) > 1e-9 or round(cells) < 2:
             found.append((key, side, f"a multiple of env.room.cell_m={room.cell_m}, at least two"))
+    if room.width_m * room.depth_m / room.cell_m**2 > MAX_CELLS:
+        found.append(("env.room.cell_m", room.cell_m, f"a side with at most {MAX_CELLS} cells"))
     for key, position in (
         ("env.ap.position_m", config.ap.position_m),
         ("env.ris.position_m", config.ris.position_m),
@@ -234,7 +245,7 @@ def _geometry_problems(config: EnvConfig) -> list[Problem]:
     for segment in config.walls.segments:
         if not _numbers(segment, 4) or segment[:2] == segment[2:]:
             found.append(("env.walls.segments", segment, "segments [x0, y0, x1, y1] in m"))
-    return found + _destination_problems(config)
+    return found or _destination_problems(config) or _start_problems(config)
 
 
 def _destination_problems(config: EnvConfig) -> list[Problem]:
@@ -247,11 +258,30 @@ def _destination_problems(config: EnvConfig) -> list[Problem]:
             allowed = f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
             found.append((key, destination, allowed))
             continue
-        cell = tuple(int(x // room.cell_m) for x in destination)
+        cell = tuple(math.floor(x / room.cell_m) for x in destination)
         if cell in seen:
             found.append((key, destination, "destinations in cells of their own"))
         seen.add(cell)
     return found
+
+
+def _start_problems(config: EnvConfig) -> list[Problem]:
+    """Whether some cell is far enough from each destination; a drawn one may lie in the middle."""
+    room, tasks = config.room, config.tasks
+    destinations = tasks.destinations_m[: config.robots]
+    if config.robots > len(destinations):
+        destinations = [*destinations, [room.width_m / 2, room.depth_m / 2]]
+    half = room.cell_m / 2
+    reach = math.inf
+    for x, y in destinations:
+        cell_x, cell_y = (math.floor(v / room.cell_m) * room.cell_m + half for v in (x, y))
+        far_x = max(cell_x - half, room.width_m - half - cell_x)
+        far_y = max(cell_y - half, room.depth_m - half - cell_y)
+        reach = min(reach, math.hypot(far_x, far_y))
+    if tasks.start_distance_m <= reach:
+        return []
+    allowed = f"at most {reach:.4g}, since no cell is farther from one of the destinations"
+    return [("env.tasks.start_distance_m", tasks.start_distance_m, allowed)]
 
 
 def _numbers(value: Any, count: int) -> bool:

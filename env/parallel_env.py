@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import logger, spaces
@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from env import actions as robot_actions
-from env import checked_config
+from env.checks import checked_config
 from env.config import EnvConfig
 from env.seeding import Stream, stream
 from env.world import Outcome, World, draw_destinations
+
+if TYPE_CHECKING:
+    from env.picture import Picture
 
 AP = "ap"
 CHANNEL_BOUND = 10.0
@@ -127,7 +130,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self._centres_m = self.world.floor.centres()
         self._way: list[NDArray[np.int64]] = []
         self._outcome: Outcome | None = None
-        self._picture: _Picture | None = None
+        self._picture: Picture | None = None
         self._make_spaces()
 
     def _make_spaces(self) -> None:
@@ -254,7 +257,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
                 f"{name} at {at} m, to {goal} m, {r:.2f} bit/s/Hz" for name, at, goal, r in rows
             )
             return "\n".join((title, *lines))
-        self._picture = self._picture or _Picture(self.world)
+        from env.picture import Picture  # matplotlib: only where somebody looks
+
+        self._picture = self._picture or Picture(self.world)
         return self._picture.frame(ways_m, goals_m, title)
 
     def close(self) -> None:
@@ -291,37 +296,3 @@ def _infos(robots: list[str], outcome: Outcome, amplitude: NDArray[np.float64]) 
         "margin_dropped": bool(sent.margin_dropped[0]),
     }
     return infos
-
-
-class _Picture:
-    """The floor, drawn once; each frame adds the ways to a copy of its pixels."""
-
-    def __init__(self, world: World) -> None:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        from env import drawing
-
-        self._draw_ways = drawing.draw_ways
-        figure = Figure(figsize=(4.8, 4.8), dpi=100, layout="constrained")
-        self._canvas = cast(Any, FigureCanvasAgg(figure))
-        self._axes = figure.subplots()
-        drawing.draw_floor(self._axes, world.config, world.radio_map)
-        self._axes.set_title(" ", fontsize=10)
-        self._canvas.draw()
-        self._floor = self._canvas.copy_from_bbox(figure.bbox)
-
-    def frame(
-        self, ways_m: NDArray[np.float64], goals_m: NDArray[np.float64], title: str
-    ) -> NDArray[np.uint8]:
-        """The pixels with the ways so far, shape (480, 480, 3)."""
-        axes, still = self._axes, len(self._axes.lines)
-        self._canvas.restore_region(self._floor)
-        self._draw_ways(axes, ways_m, goals_m)
-        axes.plot(*ways_m[-1].T, "o", color="white", mec="black", markersize=7, zorder=5)
-        axes.title.set_text(title)
-        axes.draw_artist(axes.title)
-        for line in sorted(axes.lines[still:], key=lambda line: line.get_zorder()):
-            axes.draw_artist(line)
-            line.remove()
-        return np.array(self._canvas.buffer_rgba())[..., :3].copy()

@@ -36,7 +36,7 @@ class RadioMap:
     def channel(
         self, cell: NDArray[np.int64], phase_action: NDArray[np.int64]
     ) -> NDArray[np.complex128]:
-        """The combined channel h_k = h_k Theta g + hbar_k of Eq. (1).
+        """The combined channel h_k = h_k Theta g + hbar_k, which enters Eq. (1).
 
         Args:
             cell: where the robots are, shape (..., K).

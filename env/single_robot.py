@@ -11,7 +11,8 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from env import actions, checked_config, oracles
+from env import actions, oracles
+from env.checks import checked_config
 from env.config import EnvConfig
 from env.parallel_env import AP, RISFleetParallelEnv
 

@@ -49,9 +49,10 @@ _NOTHING_YET: dict[str, Any] = {
 def read_progress(folder: Path) -> dict[str, Any] | None:
     """What a run last wrote to ``progress.json``; None if it has not yet."""
     try:
-        return _NOTHING_YET | json.loads((folder / "progress.json").read_text())
+        written: dict[str, Any] = json.loads((folder / "progress.json").read_text())
     except (OSError, ValueError):
         return None
+    return _NOTHING_YET | written
 
 
 def share_done(status: dict[str, Any]) -> float:

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from env import checked_config, oracles
+from env import oracles
+from env.checks import checked_config
 from env.floor import STEPS
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream

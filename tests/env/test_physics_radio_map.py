@@ -156,7 +156,9 @@ def test_the_best_of_four_phases_gains_as_much_as_the_papers_figures_need(
 
 def test_a_robot_under_the_access_point_is_never_nearer_than_half_a_metre():
     config = dataclasses.replace(
-        EnvConfig(), walls=WallsConfig(segments=[]), channel=ChannelConfig(rician_k_db=300.0),
+        EnvConfig(),
+        walls=WallsConfig(segments=[]),
+        channel=ChannelConfig(rician_k_db=300.0),
         ap=dataclasses.replace(EnvConfig().ap, position_m=[15.25, 15.25, 1.0]),
     )
     tables = build_radio_map(config)

@@ -34,6 +34,7 @@ from experiments.flower.control import ControlError
 from experiments.flower.manifest import write_manifest, write_run_config
 from experiments.flower.processes import MARKER, Process, members, terminate
 from experiments.flower.session import Session
+from server_app.preflight import max_concurrent_clients
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
 

@@ -1,6 +1,6 @@
 """A server for each test, and nothing left of it afterwards."""
 
-# ruff: noqa: D102, D107
+# ruff: noqa: D102
 
 import threading
 

@@ -1,6 +1,6 @@
 """Handlers, clients on threads and a coordinator in small, for the tests of the link."""
 
-# ruff: noqa: D102, D107
+# ruff: noqa: D102
 
 import socket
 import threading

@@ -1,0 +1,80 @@
+"""Runs the benchmarks, prints one table and writes ``bench.json``.
+
+python -m benchmarks [--quick] [--only NAME ...] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+
+from rich.console import Console
+
+from benchmarks.report import as_json, table
+from benchmarks.result import Result
+
+BENCHMARKS = {
+    "engine": "engine_vs_four_learners_",
+    "worlds": "world_",
+    "parts": "part_",
+    "scaling": "steps_per_s_ updates_vs_",
+    "deployment": "link_share lockstep_ waiting_share",
+    "runs": "simulation_vs_local flower_share evaluation_share",
+}
+"""Each benchmark, a module with a function of its name, and how its results' names begin."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; returns the exit status: 0, or 1 where a benchmark failed."""
+    given = _parser().parse_args(arguments)
+    console = Console()
+    results: list[Result] = []
+    failed: dict[str, str] = {}
+    for name in _chosen(given.only):
+        began = time.perf_counter()
+        console.print(f"{name} ...", end=" ", highlight=False)
+        try:
+            results += _benchmark(name)(quick=given.quick)
+        except Exception as error:
+            failed[name] = f"{type(error).__name__}: {error}"
+            console.print(f"failed: {failed[name]}", highlight=False, markup=False)
+        else:
+            console.print(f"{time.perf_counter() - began:.0f} s", highlight=False)
+    console.print(table(results))
+    given.json.write_text(as_json(results, failed, quick=given.quick))
+    console.print(f"written to {given.json}", highlight=False, soft_wrap=True)
+    return 1 if failed else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("python -m benchmarks", description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="short blocks: does it run?")
+    names = f"benchmarks ({', '.join(BENCHMARKS)}) or names of results"
+    parser.add_argument("--only", nargs="+", metavar="NAME", type=_known, help=names)
+    parser.add_argument("--json", type=Path, default=Path("bench.json"), metavar="FILE")
+    return parser
+
+
+def _known(name: str) -> str:
+    """The benchmark of this name, or the one that finds the result of this name."""
+    for benchmark, beginnings in BENCHMARKS.items():
+        if name == benchmark or name.startswith(tuple(beginnings.split())):
+            return benchmark
+    raise argparse.ArgumentTypeError(f"{name!r}: allowed is one of {', '.join(BENCHMARKS)}")
+
+
+def _chosen(only: Sequence[str] | None) -> list[str]:
+    return [name for name in BENCHMARKS if only is None or name in only]
+
+
+def _benchmark(name: str) -> Callable[..., list[Result]]:
+    function: Callable[..., list[Result]] = getattr(import_module(f"benchmarks.{name}"), name)
+    return function
+
+
+if __name__ == "__main__":
+    sys.exit(main())

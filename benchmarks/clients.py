@@ -1,0 +1,161 @@
+"""Robot clients as processes of their own, which a benchmark can put into three modes.
+
+The mode travels in the window number of each step, so that one set of processes and one link
+serve all three in turn:
+
+* LOCKSTEP: a `RobotGroup` learns and acts, as in a deployment; its last block is recorded.
+* LINK: a handler that does nothing answers, so that only the link works.
+* FREE: one step starts the block; the group plays the recorded one again, waiting for nobody.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import IntEnum
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import single_threaded
+from benchmarks.local import initial_weights
+from client_app.robots import RobotGroup
+from conf import Config, from_yaml, robot_network, to_yaml
+from env.link import LinkServer, Step, Want, serve
+
+SPAN = 1 << 20
+PATIENCE_S = 60.0
+FINGERPRINT = "benchmark"
+
+
+class Mode(IntEnum):
+    """What a client does with a step."""
+
+    LOCKSTEP = 0
+    LINK = 1
+    FREE = 2
+
+    def window(self, window: int) -> int:
+        """The window number that puts a client into this mode."""
+        return self * SPAN + window
+
+
+class Client:
+    """One robot's handler; notes this process's processor time whenever the mode changes."""
+
+    def __init__(self, group: RobotGroup, parameters: int) -> None:
+        self._group = group
+        self._idle = np.zeros(len(group.robots), np.int32)
+        self._nothing = np.zeros((len(group.robots), 2, parameters), np.float32)
+        self._mode: Mode | None = None
+        self._recorded: list[Step] = []
+        self.stamps: list[tuple[int, float]] = []
+
+    def step(self, step: Step) -> NDArray[np.int32] | None:
+        """Answers as the mode has it."""
+        mode = Mode(step.window // SPAN)
+        if mode is not self._mode or mode is Mode.FREE:
+            self.stamps.append((int(mode), time.process_time()))
+            if mode is Mode.LOCKSTEP:
+                self._recorded = []
+        self._mode = mode
+        if mode is Mode.LOCKSTEP:
+            self._recorded.append(step)
+            return self._group.step(step)
+        if mode is Mode.FREE:
+            self._play_again()
+        return self._idle
+
+    def upload(self) -> NDArray[np.float32]:
+        """The group's weights, or as many zeros."""
+        return self._group.upload() if self._mode is Mode.LOCKSTEP else self._nothing
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """Takes the global model in lockstep only."""
+        if self._mode is Mode.LOCKSTEP:
+            self._group.download(window, weights)
+
+    def _play_again(self) -> None:
+        for step in self._recorded:
+            self._group.step(step)
+            if step.want is Want.WEIGHTS:
+                self._group.download(step.window, self._group.upload()[0])
+
+
+def client(text: str, robot: int, address: tuple[str, int], token: str, report: Connection) -> None:
+    """A client process: serves one robot, then reports its stamps."""
+    single_threaded()
+    config = from_yaml(text)
+    group = RobotGroup(config, (robot,))
+    group.download(0, initial_weights(config))
+    handler = Client(group, group.parameters)
+    serve(
+        address,
+        (robot,),
+        (token,),
+        handler,
+        fingerprint=FINGERPRINT,
+        timeout_s=PATIENCE_S,
+        n_parameters=group.parameters,
+    )
+    report.send([*handler.stamps, (-1, time.process_time())])
+    report.close()
+
+
+@dataclass(frozen=True)
+class Clients:
+    """The processes of all robots and the server's end of their link."""
+
+    link: LinkServer
+    reports: list[Connection]
+
+    def stamps(self) -> list[list[tuple[int, float]]]:
+        """What each process has noted, after the farewell: (mode, processor time) a block."""
+        found = []
+        for report in self.reports:
+            if not report.poll(PATIENCE_S):
+                raise TimeoutError("a client process did not report")
+            found.append(report.recv())
+        return found
+
+
+@contextmanager
+def connected_clients(config: Config) -> Iterator[Clients]:
+    """Starts a process for each robot, linked over loopback; all have ended on leaving."""
+    link = LinkServer(fingerprint=FINGERPRINT, timeout_s=PATIENCE_S)
+    context = multiprocessing.get_context("spawn")
+    started: list[BaseProcess] = []
+    try:
+        robots = range(config.env.robots)
+        tokens = {robot: f"robot-{robot}" for robot in robots}
+        shape = (2, robot_network(config).parameters)
+        link.admit([(robot,) for robot in robots], tokens, shape)
+        reports = []
+        for robot in robots:
+            receiving, sending = context.Pipe(duplex=False)
+            arguments = (to_yaml(config), robot, link.address, tokens[robot], sending)
+            process = context.Process(target=client, args=arguments, daemon=True)
+            process.start()
+            sending.close()
+            started.append(process)
+            reports.append(receiving)
+        link.wait_connected(PATIENCE_S, lambda: _check_alive(started))
+        yield Clients(link, reports)
+    finally:
+        link.close("the benchmark has ended")
+        for process in started:
+            process.join(5.0)
+            if process.is_alive():
+                process.kill()
+                process.join()
+
+
+def _check_alive(processes: list[BaseProcess]) -> None:
+    for process in processes:
+        if process.exitcode is not None:
+            raise RuntimeError(f"a client process ended at once, status {process.exitcode}")

@@ -1,0 +1,114 @@
+"""The stacked engine against four plain learners: three robots and the access point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent import DQN, NetworkShape, single_threaded
+from benchmarks.plain import PlainLearner
+from benchmarks.result import Result, Target, micro, take_turns
+from conf import Config, ap_network, compose, robot_network
+from env.seeding import Stream, stream
+
+WIDTHS = {64: Target(2.5, at_least=True), 128: Target(2.0, at_least=True)}
+EPSILON = 0.05
+RECORDED = 512
+HOW = (
+    "joint steps (act, store, learn) per processor second of agent.DQN, 3 robots stacked and the"
+    " AP, over those of four CleanRL-style eager learners; one thread, blocks in turn"
+)
+
+
+class Experience:
+    """The same made-up transitions for every engine."""
+
+    def __init__(self, robot: NetworkShape, ap: NetworkShape, robots: int) -> None:
+        rng = np.random.default_rng(0)
+        self.robot = rng.normal(size=(RECORDED + 1, robots, robot.inputs)).astype(np.float32)
+        self.ap = rng.normal(size=(RECORDED + 1, 1, ap.inputs)).astype(np.float32)
+        self.robot_reward = rng.normal(size=(RECORDED, robots))
+        self.ap_reward = rng.normal(size=(RECORDED, 1))
+
+
+class Stacked:
+    """The engine: the robots in one stack and the access point in another."""
+
+    def __init__(self, config: Config, experience: Experience) -> None:
+        robots = experience.robot.shape[1]
+        self._experience, self._tick = experience, 0
+        robot, ap = robot_network(config), ap_network(config)
+        streams = [stream(0, Stream.ROBOT, k) for k in range(robots)]
+        discount = config.agent.discount
+        self._robots = DQN(robot, config.agent, discount.robot, streams)
+        self._ap = DQN(ap, config.agent, discount.ap, [stream(0, Stream.AP)])
+        for agents in (self._robots, self._ap):
+            first = agents.shape.initial_weights(stream(0, Stream.WEIGHTS))
+            agents.load(np.stack([first, first]))
+        self._active = np.ones(robots, dtype=bool)
+        self._ended = np.zeros(robots, dtype=bool)
+
+    def __call__(self, steps: int) -> None:
+        """Takes joint steps."""
+        seen, active, ended = self._experience, self._active, self._ended
+        for _ in range(steps):
+            at = self._tick % RECORDED
+            self._tick += 1
+            moves = self._robots.act(seen.robot[at], EPSILON, active)
+            phase = self._ap.act(seen.ap[at], EPSILON, active[:1])
+            reward, following = seen.robot_reward[at], seen.robot[at + 1]
+            self._robots.learn(seen.robot[at], moves, reward, following, ended, active)
+            reward, following = seen.ap_reward[at], seen.ap[at + 1]
+            self._ap.learn(seen.ap[at], phase, reward, following, ended[:1], active[:1])
+
+
+class Plain:
+    """Four learners, one after the other."""
+
+    def __init__(self, config: Config, experience: Experience) -> None:
+        robots = experience.robot.shape[1]
+        self._experience, self._tick = experience, 0
+        robot, ap = robot_network(config), ap_network(config)
+        discount, width = config.agent.discount, config.agent.hidden[0]
+        self._robots = [
+            PlainLearner(robot.inputs, robot.actions, width, discount.robot, k)
+            for k in range(robots)
+        ]
+        self._ap = PlainLearner(ap.inputs, ap.actions, width, discount.ap, robots)
+
+    def __call__(self, steps: int) -> None:
+        """Takes joint steps."""
+        seen = self._experience
+        for _ in range(steps):
+            at = self._tick % RECORDED
+            self._tick += 1
+            moves = [a.act(seen.robot[at, k], EPSILON) for k, a in enumerate(self._robots)]
+            phase = self._ap.act(seen.ap[at, 0], EPSILON)
+            for k, agent in enumerate(self._robots):
+                reward, following = float(seen.robot_reward[at, k]), seen.robot[at + 1, k]
+                agent.learn(seen.robot[at, k], moves[k], reward, following, False)
+            reward, following = float(seen.ap_reward[at, 0]), seen.ap[at + 1, 0]
+            self._ap.learn(seen.ap[at, 0], phase, reward, following, False)
+
+
+def engine(*, quick: bool = False) -> list[Result]:
+    """Measures ``engine_vs_four_learners_h64`` and ``..._h128``."""
+    single_threaded()
+    steps, blocks = (20, 3) if quick else (60, 15)
+    return [_compared(width, target, steps, blocks) for width, target in WIDTHS.items()]
+
+
+def _compared(width: int, target: Target, steps: int, blocks: int) -> Result:
+    config = compose([f"agent.hidden=[{width},{width}]"])
+    experience = Experience(robot_network(config), ap_network(config), config.env.robots)
+    variants = {"plain": Plain(config, experience), "stacked": Stacked(config, experience)}
+    for variant in variants.values():
+        variant(config.agent.learn_from + steps)
+    taken = take_turns(variants, steps, blocks)
+    return Result.over(
+        f"engine_vs_four_learners_h{width}",
+        taken["plain"] / taken["stacked"],
+        "ratio",
+        HOW,
+        target,
+        {f"{name}_us_per_joint_step": micro(seconds) for name, seconds in taken.items()},
+    )

@@ -1,0 +1,97 @@
+"""A run in this process that can be taken step by step: the local runtime without its files."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from client_app.robots import RobotGroup
+from conf import Config, compose, robot_network
+from env.link import Fleet
+from env.radio_map import build_radio_map
+from env.seeding import Stream, stream
+from env.tally import EpisodeMeasures
+from env.world import World, draw_destinations
+from experiments.local import InProcessFleet
+from server_app.access_point import AccessPoint
+from server_app.coordinator import Coordinator, Progress
+from server_app.strategies import build_aggregator
+
+ENDLESS = 10**9
+OVERRIDES = (
+    "runtime=local",
+    "agent.epsilon.start=0.05",  # as late in a run: nearly every action needs a forward pass
+    "train.episodes=1000000000",
+)
+
+
+class Unwatched:
+    """An observer of a run that does nothing."""
+
+    def on_start(self) -> None:
+        """The first tick begins."""
+
+    def on_episode(self, progress: Progress, measures: EpisodeMeasures) -> None:
+        """An episode has ended."""
+
+    def on_window(
+        self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
+    ) -> None:
+        """A window has ended."""
+
+
+def configured(*overrides: str) -> Config:
+    """The default configuration as a run late in training has it, with overrides."""
+    return compose([*OVERRIDES, *overrides])
+
+
+def initial_weights(config: Config) -> NDArray[np.float32]:
+    """The network that all robots start from, shape (2, P)."""
+    first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
+    return np.stack([first, first])
+
+
+class ServerSide:
+    """World, access point and coordinator, to be driven in stretches.
+
+    Every stretch is a `Coordinator.run` of its own on the same world, agent and fleet.
+
+    Args:
+        config: of the run.
+        fleet: the robots.
+    """
+
+    def __init__(self, config: Config, fleet: Fleet) -> None:
+        self._config, self._fleet = config, fleet
+        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
+        radio_map = build_radio_map(config.env)
+        generator = stream(config.seed, Stream.WORLD)
+        self.world = World(config.env, destinations, generator, 1, radio_map)
+        self.ap = AccessPoint(config)
+        self._model = initial_weights(config)
+        self.waited_s = 0.0
+
+    def play(self, steps: int) -> None:
+        """Takes joint steps, up to the end of a window."""
+        train = dataclasses.replace(self._config.train, max_ticks=steps)
+        config = dataclasses.replace(self._config, train=train)
+        aggregator = build_aggregator(config.strategy, config.env.robots)
+        run = Coordinator(config, self.world, self.ap, self._fleet, aggregator, Unwatched())
+        self._model = run.run(self._model)[0]
+        self.waited_s += run.waited_s
+
+
+class LocalRun(ServerSide):
+    """All agents in this process.
+
+    Attributes:
+        group: the robots.
+    """
+
+    def __init__(self, config: Config) -> None:
+        robots = tuple(range(config.env.robots))
+        self.group = RobotGroup(config, robots)
+        self.group.download(0, initial_weights(config))
+        super().__init__(config, InProcessFleet([(robots, self.group)]))

@@ -1,0 +1,90 @@
+"""The world's step: against a CartPole step, and in a batch."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+
+from agent import single_threaded
+from benchmarks.result import Result, micro, take_turns
+from conf import compose
+from env import actions
+from env.config import EnvConfig
+from env.radio_map import RadioMap, build_radio_map
+from env.seeding import Stream, stream
+from env.world import World, draw_destinations
+
+BATCH = 256
+MADE = 512
+VS_CARTPOLE = (
+    "processor time of World.step with rewards and the observations of 3 robots and AP, over that"
+    " of a CartPole-v1 step; both from gymnasium-like loops with resets, blocks in turn"
+)
+BATCHED = f"world steps per processor second of {BATCH} worlds in a batch over one world"
+
+
+class Walk:
+    """Worlds under random actions, begun anew once every episode has ended."""
+
+    def __init__(self, config: EnvConfig, radio_map: RadioMap, worlds: int) -> None:
+        destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
+        self._world = World(config, destinations, stream(0, Stream.WORLD), worlds, radio_map)
+        self._levels, self._tick = config.power.levels, 0
+        rng = np.random.default_rng(0)
+        count = actions.count(self._levels)
+        self._moves = rng.integers(count, size=(MADE, worlds, config.robots))
+        self._phases = rng.integers(self._world.phase_actions, size=(MADE, worlds))
+        self._world.reset()
+
+    def __call__(self, steps: int) -> None:
+        """Takes joint steps in every world."""
+        world = self._world
+        for _ in range(steps):
+            at = self._tick % MADE
+            self._tick += 1
+            moves = actions.decode(self._moves[at], self._levels)
+            outcome = world.step(self._phases[at], *moves)
+            world.global_observation(world.local_observations())
+            if (outcome.terminated | outcome.truncated).all():
+                world.reset()
+
+
+class CartPole:
+    """Gymnasium's CartPole-v1 as ``gymnasium.make`` gives it, under random actions."""
+
+    def __init__(self) -> None:
+        self._env = gymnasium.make("CartPole-v1")
+        self._moves = np.random.default_rng(0).integers(2, size=MADE).tolist()
+        self._tick = 0
+        self._env.reset(seed=0)
+
+    def __call__(self, steps: int) -> None:
+        """Takes steps."""
+        for _ in range(steps):
+            _, _, terminated, truncated, _ = self._env.step(self._moves[self._tick % MADE])
+            self._tick += 1
+            if terminated or truncated:
+                self._env.reset()
+
+
+def worlds(*, quick: bool = False) -> list[Result]:
+    """Measures ``world_step_vs_cartpole_k3`` and ``world_batch_256_vs_1``."""
+    single_threaded()
+    steps, blocks = (100, 3) if quick else (500, 15)
+    config = compose().env
+    radio_map = build_radio_map(config)
+    variants = {
+        "world": Walk(config, radio_map, 1),
+        "cartpole": CartPole(),
+        "batch": Walk(config, radio_map, BATCH),
+    }
+    for variant in variants.values():
+        variant(50)
+    taken = take_turns(variants, steps, blocks)
+    micros = {f"{name}_us": micro(seconds) for name, seconds in taken.items()}
+    ratio = taken["world"] / taken["cartpole"]
+    gain = BATCH * taken["world"] / taken["batch"]
+    return [
+        Result.over("world_step_vs_cartpole_k3", ratio, "ratio", VS_CARTPOLE, None, micros),
+        Result.over("world_batch_256_vs_1", gain, "ratio", BATCHED, None, micros),
+    ]

@@ -1,0 +1,73 @@
+"""A whole and checked configuration from the fields that differ from the defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from numbers import Integral, Real
+from typing import Any
+
+from env.config import EnvConfig, problems
+
+
+def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvConfig:
+    """An environment's configuration, whole and checked.
+
+    Args:
+        config: a configuration; or the fields that differ from the defaults, nested as in
+            ``{"robots": 2, "ris": {"side": 0}}``; or None, for the defaults.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        ValueError: naming each key, the value it has and what is allowed there.
+    """
+    if isinstance(config, EnvConfig):
+        whole = config
+    else:
+        whole = _replaced(EnvConfig(), {} if config is None else config, "env")
+    found = problems(whole)
+    if found:
+        raise ValueError(
+            "\n".join(f"{key}={value!r}: allowed is {say}" for key, value, say in found)
+        )
+    return whole
+
+
+def _replaced(base: Any, values: Any, key: str) -> Any:
+    """A dataclass with some fields replaced, whose types must be those of the old values."""
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{key}={values!r}: allowed is a mapping of its fields")
+    names = [field.name for field in fields(base)]
+    changes = {}
+    for name, value in values.items():
+        if name not in names:
+            raise ValueError(f"{key}.{name}={value!r}: allowed keys are {', '.join(names)}")
+        old = getattr(base, name)
+        if is_dataclass(old):
+            nested = isinstance(value, type(old))
+            changes[name] = value if nested else _replaced(old, value, f"{key}.{name}")
+        else:
+            changes[name] = _typed(value, old, f"{key}.{name}")
+    return replace(base, **changes)
+
+
+def _typed(value: Any, old: Any, key: str) -> Any:
+    """The value, if it is of the old one's kind; sequences become lists all through."""
+    if isinstance(old, list):
+        kind, right = "a list", isinstance(value, Sequence) and not isinstance(value, str)
+    elif isinstance(old, str):
+        kind, right = "a word", isinstance(value, str)
+    elif isinstance(old, bool):
+        kind, right = "True or False", isinstance(value, bool)
+    else:
+        kind, number = ("a whole number", Integral) if isinstance(old, int) else ("a number", Real)
+        right = isinstance(value, number) and not isinstance(value, bool)
+    if not right:
+        raise ValueError(f"{key}={value!r}: allowed is {kind}")
+    return _as_list(value) if isinstance(old, list) else value
+
+
+def _as_list(value: Any) -> Any:
+    return [_as_list(item) for item in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,167 @@
+"""Composing a run's configuration: groups, experiments, and one sentence for each mistake."""
+
+import dataclasses
+
+import pytest
+
+from conf import Config, ConfigError, compose, from_yaml, problems, to_yaml
+from conf.compose import FOLDER
+
+MISTAKES = [
+    # A wrong key: what was meant, or what there is.
+    (["env.robotz=2"], "env.robotz is no key: did you mean env.robots"),
+    (["robots=2"], "robots is no key: did you mean env.robots"),
+    (["env.ris.qqqqqqq=2"], "env.ris.qqqqqqq is no key: allowed here are env.ris.position_m, "),
+    (["env.robots.k=2"], "env.robots.k is no key: did you mean env.robots"),
+    (["zzz=1"], "zzz is no key: allowed here are seed, env, agent"),
+    (["env.ris=3"], "env.ris is a group of keys: set one of them, such as env.ris.position_m."),
+    # A wrong type.
+    (["env.robots=two"], "env.robots=two: allowed is a whole number."),
+    (["env.ris.side=2.5"], "env.ris.side=2.5: allowed is a whole number."),
+    (["env.robots=null"], "env.robots=null: allowed is a whole number."),
+    (["env.reward.goal=much"], "env.reward.goal=much: allowed is a number."),
+    (["run.figures=maybe"], "run.figures=maybe: allowed is true or false."),
+    (["agent.hidden=64"], "agent.hidden=64: allowed is a list"),
+    (["train.max_ticks=soon"], "train.max_ticks=soon: allowed is a whole number or null."),
+    # A wrong choice.
+    (["env=warehouse"], "env=warehouse: allowed is one of default."),
+    (["strategy=median"], "strategy=median: allowed is one of fedavg, "),
+    (["runtime=cluster"], "runtime=cluster: allowed is one of "),
+    (["experiment=huge"], "experiment=huge: allowed is one of paper_literal, quick."),
+    (["env.power.resolve=ask"], "env.power.resolve=ask: allowed is one of project, residual, zero."),
+    # A wrong value.
+    (["seed=-1"], "seed=-1: allowed is a number of at least 0."),
+    (["train.episodes=0"], "train.episodes=0: allowed is at least 1."),
+    (["train.max_ticks=0"], "train.max_ticks=0: allowed is a number of at least 1, or null."),
+    (["federation.every=0"], "federation.every=0: allowed is a number from 1 to 1000000."),
+    (["federation.windows_per_round=0"], "federation.windows_per_round=0: allowed is a number"),
+    (["federation.link.port=70000"], "federation.link.port=70000: allowed is a port from 1"),
+    (["federation.link.timeout_s=0"], "federation.link.timeout_s=0.0: allowed is a number of sec"),
+    (["runtime.start_timeout_s=0"], "runtime.start_timeout_s=0.0: allowed is a number of seconds"),
+    (["evaluation.every=0"], "evaluation.every=0: allowed is at least 1."),
+    (["evaluation.episodes=0"], "evaluation.episodes=0: allowed is a number from 1 to 100000."),
+    (["evaluation.epsilon=1.5"], "evaluation.epsilon=1.5: allowed is a number from 0 to 1."),
+    (["env.robots=0"], "env.robots=0: allowed is a number from 1 to 64."),
+    (["agent.discount.robot=1"], "agent.discount.robot=1.0: allowed is"),
+    # A wrong combination.
+    (["federation.clients=4"], "federation.clients=4: allowed is a number from 1 to env.robots=3"),
+    (["env.robots=4", "env.power.levels=3"], "env.power.levels=3: allowed is at least env.robots=4"),
+    (["env.ris.subsurfaces=7"], "env.ris.subsurfaces=7: allowed is a divisor of the 900 elements"),
+    (["agent.batch_size=60000"], "agent.batch_size=60000: allowed is"),
+    (["experiment=quick", "federation.clients=3"], "federation.clients=3: allowed is a number from"),
+    # A wrong form.
+    (["env.robots"], "'env.robots' is not of the form key=value."),
+    (["+env.extra=1"], "'+env.extra=1': keys can be neither added nor deleted"),
+    (["~env.robots"], "'~env.robots': keys can be neither added nor deleted"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("overrides", "message"), MISTAKES, ids=lambda x: str(x)[:40])
+def test_a_mistake_is_one_sentence_with_the_key_and_what_is_allowed(overrides, message):
+    with pytest.raises(ConfigError) as caught:
+        compose(overrides)
+    text = str(caught.value)
+    assert text.startswith(message)
+    assert "\n" not in text
+    assert text.endswith(".")
+
+
+def test_mistakes_of_several_keys_are_a_sentence_each():
+    with pytest.raises(ConfigError) as caught:
+        compose(["seed=-1", "env.robots=0", "agent.batch_size=0"])
+    lines = str(caught.value).splitlines()
+    assert [line.split("=")[0] for line in lines] == [
+        "seed", "env.robots", "agent.batch_size", "federation.clients",
+    ][:3]  # fmt: skip
+
+
+def test_the_command_lines_defaults_are_the_schemas_but_for_the_runtime():
+    found = compose()
+    assert found.runtime.name == "simulation"
+    assert dataclasses.replace(found, runtime=Config().runtime) == Config()
+    assert problems(found) == []
+
+
+def test_an_override_changes_its_key_alone():
+    found = compose(["env.ris.side=20", "agent.hidden=[32,16]"])
+    expected = dataclasses.replace(
+        compose(),
+        env=dataclasses.replace(Config().env, ris=dataclasses.replace(Config().env.ris, side=20)),
+        agent=dataclasses.replace(Config().agent, hidden=[32, 16]),
+    )
+    assert found == expected
+
+
+def test_the_last_of_two_overrides_counts():
+    assert compose(["env.robots=2", "env.robots=4"]).env.robots == 4
+
+
+def test_null_lifts_a_limit():
+    assert compose(["train.max_ticks=100"]).train.max_ticks == 100
+    assert compose(["train.max_ticks=100", "train.max_ticks=null"]).train.max_ticks is None
+
+
+def test_an_override_wins_over_its_experiment():
+    found = compose(["experiment=quick", "env.robots=4"])
+    assert found.env.robots == 4
+    assert found.train.episodes == 40
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in (FOLDER / "experiment").glob("*.yaml")))
+def test_every_experiment_composes_and_changes_something(name):
+    found = compose([f"experiment={name}"])
+    assert problems(found) == []
+    assert found != compose()
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [
+        (group, path.stem)
+        for group in ("env", "agent", "strategy", "runtime")
+        for path in sorted((FOLDER / group).glob("*.yaml"))
+    ],
+)
+def test_every_choice_of_every_group_composes(group, name):
+    assert problems(compose([f"{group}={name}"])) == []
+
+
+def test_the_paper_to_the_letter():
+    found = compose(["experiment=paper_literal"])
+    assert found.env.state.destination == "none"
+    assert found.env.power.resolve == "zero"
+    assert (found.agent.discount.robot, found.agent.discount.ap) == (0.95, 0.95)
+    assert found.agent.reward_scale == 1.0
+
+
+def test_composing_twice_in_a_process_works_and_leaves_nothing_behind():
+    assert compose(["env.robots=2"]) == compose(["env.robots=2"])
+    assert compose().env.robots == 3
+
+
+def test_a_configuration_survives_its_yaml():
+    found = compose(["experiment=paper_literal", "env.robots=4", "env.walls.segments=[[0,1,2,3]]"])
+    assert from_yaml(to_yaml(found)) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- 1\n- 2\n", "the configuration is no mapping"),
+        ("env:\n  robotz: 3\n", "robotz"),
+        ("env:\n  robots: many\n", "many"),
+        ("env:\n  robots: 0\n", "env.robots=0: allowed is a number from 1 to 64."),
+    ],
+)
+def test_a_file_of_another_schema_is_refused(text, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        from_yaml(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_cannot_be_changed_in_place():
+    config = compose()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        config.seed = 1
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        config.federation.link.port = 1

@@ -1,0 +1,172 @@
+"""A tiny task for the tests of whole runs, and ways to play it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+TINY = (
+    "runtime=local",
+    "env.room.width_m=8",
+    "env.room.depth_m=6",
+    "env.room.cell_m=1.0",
+    "env.walls.segments=[[0,3,4,3]]",
+    "env.ap.position_m=[4,6,2]",
+    "env.ris.position_m=[8,2,2]",
+    "env.ris.side=4",
+    "env.tasks.destinations_m=[[7.5,2.5],[1.5,1.5],[5.5,5.5]]",
+    "env.tasks.start_distance_m=2",
+    "env.tasks.destination_spacing_m=1",
+    "env.motion.max_slots=25",
+    "agent.hidden=[13,11]",
+    "agent.batch_size=8",
+    "agent.learn_from=8",
+    "agent.replay_size=64",
+    "agent.learning_rate=0.01",
+    "agent.target.every=10",
+    "agent.epsilon.ticks=150",
+    "federation.every=10",
+    "train.max_ticks=100",
+    "evaluation.every=2",
+    "evaluation.episodes=4",
+    "run.figures=false",
+    "run.tensorboard=false",
+)
+"""Three robots in a room of 48 cells that learn from their eighth transition on."""
+
+
+def changed(config: Any, changes: Mapping[str, Any]) -> Any:
+    """A copy of a configuration with values set by their dotted keys."""
+    for key, value in changes.items():
+        first, _, rest = key.partition(".")
+        inner = changed(getattr(config, first), {rest: value}) if rest else value
+        config = dataclasses.replace(config, **{first: inner})
+    return config
+
+
+@dataclasses.dataclass
+class Watcher:
+    """A run's observer: what it was told, window by window."""
+
+    started: int = 0
+    episodes: list[tuple[int, int]] = dataclasses.field(default_factory=list)
+    windows: list[NDArray[np.float32]] = dataclasses.field(default_factory=list)
+    ticks: list[int] = dataclasses.field(default_factory=list)
+
+    def on_start(self) -> None:
+        """Counts starts."""
+        self.started += 1
+
+    def on_episode(self, progress: Any, measures: Any) -> None:
+        """Keeps the episode's number and the tick at its end."""
+        self.episodes.append((progress.episodes, progress.tick))
+
+    def on_window(self, progress: Any, robots: NDArray[np.float32], ap: Any) -> None:
+        """Keeps the weights after the aggregation and the tick."""
+        self.windows.append(robots.copy())
+        self.ticks.append(progress.tick)
+
+
+@dataclasses.dataclass
+class Played:
+    """What a run came to."""
+
+    robots: NDArray[np.float32]
+    ap: NDArray[np.float32]
+    run: Any
+    watcher: Watcher
+
+    @property
+    def digests(self) -> tuple[str, str]:
+        """Of the robots' and of the access point's weights."""
+        from agent import digest
+
+        return digest(self.robots), digest(self.ap)
+
+
+@pytest.fixture(scope="session")
+def _tiny_defaults() -> Any:
+    from agent import single_threaded
+    from conf import compose
+
+    single_threaded()
+    return compose(TINY)
+
+
+@pytest.fixture
+def tiny(_tiny_defaults: Any) -> Callable[..., Any]:
+    """Makes the tiny task's configuration, with values changed by their dotted keys."""
+
+    def make(changes: Mapping[str, Any] | None = None) -> Any:
+        return changed(_tiny_defaults, changes or {})
+
+    return make
+
+
+@pytest.fixture
+def play() -> Callable[..., Played]:
+    """Plays a run without a folder: ``play(config, blocks)`` or ``play(config, fleet=...)``."""
+
+    def make(
+        config: Any,
+        blocks: Sequence[tuple[int, ...]] | None = None,
+        *,
+        fleet: Any = None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> Played:
+        from conf import robot_network
+        from env.seeding import Stream, stream
+        from env.world import World, draw_destinations
+        from server_app.access_point import AccessPoint
+        from server_app.coordinator import Coordinator
+        from server_app.strategies import build_aggregator
+
+        first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
+        initial = np.stack([first, first])
+        if fleet is None:
+            fleet = _local_fleet(config, blocks or [tuple(range(config.env.robots))], initial)
+        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
+        world = World(config.env, destinations, stream(config.seed, Stream.WORLD))
+        ap, watcher = AccessPoint(config), Watcher()
+        aggregator = build_aggregator(config.strategy, config.env.robots)
+        run = Coordinator(config, world, ap, fleet, aggregator, watcher, stop)
+        return Played(run.run(initial), ap.weights(), run, watcher)
+
+    return make
+
+
+def _local_fleet(
+    config: Any, blocks: Sequence[tuple[int, ...]], initial: NDArray[np.float32]
+) -> Any:
+    from client_app.robots import RobotGroup
+    from experiments.local import InProcessFleet
+
+    groups = []
+    for block in blocks:
+        group = RobotGroup(config, block)
+        group.download(0, initial)
+        groups.append((block, group))
+    return InProcessFleet(groups)
+
+
+@pytest.fixture(scope="session")
+def tiny_overrides() -> tuple[str, ...]:
+    """The tiny task as Hydra overrides, for commands."""
+    return TINY
+
+
+@pytest.fixture(scope="session")
+def tiny_run(_tiny_defaults: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished tiny run, with figures and events; not to be written to."""
+    from experiments import local
+
+    folder: Path = tmp_path_factory.mktemp("tiny") / "run"
+    changes = {"run.dir": str(folder), "run.figures": True, "run.tensorboard": True}
+    local.train(changed(_tiny_defaults, changes), folder)
+    return folder
