@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,7 +186,7 @@ def _processor_time(clients: Clients, times: Times) -> dict[Mode, NDArray[np.flo
     total = {mode: np.array(times.cpu[mode]) for mode in Mode}
     for stamps in clients.stamps():
         spent: dict[int, list[float]] = {mode: [] for mode in Mode}
-        for (mode, began), (_, ended) in zip(stamps, stamps[1:], strict=False):
+        for (mode, began), (_, ended) in pairwise(stamps):
             spent[mode].append(ended - began)
         spent[Mode.LINK].pop()  # the block before the farewell
         for mode in Mode:

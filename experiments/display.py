@@ -146,8 +146,8 @@ class Display:
         while True:
             ended = self._ended.wait(POLL_S)
             status = read_progress(self._folder)
-            due = time.monotonic() - printed >= LINE_PERIOD_S
-            if status is not None and (due or ended or status["state"] != shown):
+            due = not ended and time.monotonic() - printed >= LINE_PERIOD_S
+            if status is not None and (due or status["state"] != shown):
                 shown, printed = status["state"], time.monotonic()
                 line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
                 self._console.print(line, highlight=False, soft_wrap=True)

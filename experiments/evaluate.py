@@ -15,10 +15,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
 from agent import single_threaded
-from conf import Config, ConfigError, ap_network, robot_network
+from conf import Config, ConfigError, ap_network, from_yaml, robot_network
 from experiments.display import evaluation_table
 from server_app.evaluation import Evaluator
-from server_app.preflight import checked_yaml
 from server_app.recorder import write_atomically
 from server_app.session import to_json
 
@@ -100,7 +99,7 @@ def read_weights(folder: Path, config: Config) -> tuple[NDArray[np.float32], NDA
 def _read_config(folder: Path) -> Config:
     path = folder / "config.yaml"
     try:
-        return checked_yaml(path.read_text())
+        return from_yaml(path.read_text())
     except OSError as error:
         raise ConfigError(f"{folder} is no run folder: {path.name} cannot be read.") from error
 

@@ -25,7 +25,7 @@ from env.link import LinkError
 from experiments import local, simulation
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
-from server_app.preflight import check, checked
+from server_app.preflight import check, check_port, checked
 from server_app.session import STOP_FILE
 
 INTERRUPTED = 130
@@ -48,6 +48,7 @@ def main(arguments: Sequence[str]) -> int:
         if flags:
             return _train_all(overrides)
         config = checked(overrides)
+        check_port(config)
         return train(config, new_folder(config))
     except (ConfigError, FlowerError, LinkError) as error:
         print(f"risfleet: {error}", file=sys.stderr)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Sequence
 
 from conf import Config, ConfigError, compose, flower_clients, from_yaml
@@ -56,6 +57,22 @@ def checked_yaml(text: str) -> Config:
         ConfigError: it does not fit this version.
     """
     return check(from_yaml(text))
+
+
+def check_port(config: Config) -> None:
+    """Checks that the link's port, where one is given, is free.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    where = config.federation.link
+    if config.runtime.name == "local" or not where.port:
+        return
+    try:
+        socket.create_server((where.host, where.port)).close()
+    except OSError as error:
+        allowed = f"a port that is free on {where.host}, or 0 for any ({error.strerror})"
+        raise ConfigError.of([("federation.link.port", where.port, allowed)]) from error
 
 
 def _simulation_problems(config: Config) -> list[Problem]:

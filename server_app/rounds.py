@@ -153,7 +153,7 @@ class FlowerFleet:
         messages = [self._train_message(node, tokens) for node in self._blocks]
         self._replies = {}
         sent = list(self._grid.push_messages(messages))
-        self._pending = dict(zip(sent, self._blocks, strict=True))
+        self._pending = dict(zip(sent, self._blocks, strict=False))
         if len(self._pending) != len(self._blocks):
             raise FlowerError(f"Flower took {len(self._pending)} of {len(messages)} messages")
         self._model = None

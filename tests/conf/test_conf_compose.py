@@ -27,8 +27,8 @@ MISTAKES = [
     (["env=warehouse"], "env=warehouse: allowed is one of default."),
     (["strategy=median"], "strategy=median: allowed is one of fedavg, "),
     (["runtime=cluster"], "runtime=cluster: allowed is one of "),
-    (["experiment=huge"], "experiment=huge: allowed is one of paper_literal, quick."),
-    (["env.power.resolve=ask"], "env.power.resolve=ask: allowed is one of project, residual, zero."),
+    (["experiment=huge"], "experiment=huge: allowed is one of "),
+    (["env.power.resolve=ask"], "env.power.resolve=ask: allowed is one of project, residual, zero"),
     # A wrong value.
     (["seed=-1"], "seed=-1: allowed is a number of at least 0."),
     (["train.episodes=0"], "train.episodes=0: allowed is at least 1."),
@@ -45,10 +45,10 @@ MISTAKES = [
     (["agent.discount.robot=1"], "agent.discount.robot=1.0: allowed is"),
     # A wrong combination.
     (["federation.clients=4"], "federation.clients=4: allowed is a number from 1 to env.robots=3"),
-    (["env.robots=4", "env.power.levels=3"], "env.power.levels=3: allowed is at least env.robots=4"),
+    (["env.robots=4", "env.power.levels=3"], "env.power.levels=3: allowed is at least env.robots"),
     (["env.ris.subsurfaces=7"], "env.ris.subsurfaces=7: allowed is a divisor of the 900 elements"),
     (["agent.batch_size=60000"], "agent.batch_size=60000: allowed is"),
-    (["experiment=quick", "federation.clients=3"], "federation.clients=3: allowed is a number from"),
+    (["experiment=quick", "federation.clients=3"], "federation.clients=3: allowed is a number"),
     # A wrong form.
     (["env.robots"], "'env.robots' is not of the form key=value."),
     (["+env.extra=1"], "'+env.extra=1': keys can be neither added nor deleted"),
@@ -63,16 +63,14 @@ def test_a_mistake_is_one_sentence_with_the_key_and_what_is_allowed(overrides, m
     text = str(caught.value)
     assert text.startswith(message)
     assert "\n" not in text
-    assert text.endswith(".")
+    assert text.endswith((".", "?"))
 
 
 def test_mistakes_of_several_keys_are_a_sentence_each():
     with pytest.raises(ConfigError) as caught:
         compose(["seed=-1", "env.robots=0", "agent.batch_size=0"])
     lines = str(caught.value).splitlines()
-    assert [line.split("=")[0] for line in lines] == [
-        "seed", "env.robots", "agent.batch_size", "federation.clients",
-    ][:3]  # fmt: skip
+    assert [line.split("=")[0] for line in lines] == ["seed", "env.robots", "agent.batch_size"]
 
 
 def test_the_command_lines_defaults_are_the_schemas_but_for_the_runtime():
@@ -108,10 +106,10 @@ def test_an_override_wins_over_its_experiment():
 
 
 @pytest.mark.parametrize("name", sorted(p.stem for p in (FOLDER / "experiment").glob("*.yaml")))
-def test_every_experiment_composes_and_changes_something(name):
+def test_every_experiment_composes_and_all_but_the_default_change_something(name):
     found = compose([f"experiment={name}"])
     assert problems(found) == []
-    assert found != compose()
+    assert (found == compose()) == (name == "default")
 
 
 @pytest.mark.parametrize(

@@ -83,9 +83,9 @@ def test_a_number_that_is_not_finite_is_refused(key, value):
         ("env.room.width_m", 0.5, "a number from 1 to 1000"),
         ("env.room.depth_m", 1001.0, "a number from 1 to 1000"),
         ("env.room.width_m", 30.2, "a multiple of env.room.cell_m=0.5, at least two"),
-        ("env.room.depth_m", 29.9, "a multiple of env.room.cell_m=0.5, at least two"),
+        ("env.room.depth_m", 30.2, "a multiple of env.room.cell_m=0.5, at least two"),
         ("env.room.cell_m", 0.01, "a side with at most 250000 cells"),
-        ("env.tasks.start_distance_m", 100.0, "at most 32.4, since no cell is farther"),
+        ("env.tasks.start_distance_m", 100.0, "at most 32.1, since no cell is farther"),
     ],
 )
 def test_a_number_out_of_range_is_named_with_the_range(key, value, allowed):
@@ -153,7 +153,7 @@ def test_every_problem_is_listed_at_once():
 
 
 def test_a_far_start_is_refused_where_a_drawn_destination_could_lie_in_the_middle():
-    # The farthest cell from the middle is 21.2 m away, from the given destinations 32.5 m.
+    # The farthest cell from the middle is 21.2 m away, from the given destinations 32 m.
     assert problems(configured(robots=4, tasks__start_distance_m=25.0)) == []
     [(key, _, _)] = problems(configured(robots=5, tasks__start_distance_m=25.0))
     assert key == "env.tasks.start_distance_m"

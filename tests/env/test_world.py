@@ -328,7 +328,7 @@ def test_a_seed_fixes_the_trajectories(seed):
 
 def test_a_world_touches_no_global_generator():
     before, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002
-    world = make(EnvConfig(robots=5), worlds=3)
+    world = make(EnvConfig(robots=3), worlds=3)
     world.reset()
     rollout(world, 3)
     after = np.random.get_state()  # noqa: NPY002

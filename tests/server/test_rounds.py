@@ -132,6 +132,7 @@ def on_flower(tiny: Tiny, tmp_path: Path) -> Tiny:
         standard = {
             "runtime.name": "simulation",
             "runtime.start_timeout_s": PATIENCE_S,
+            "federation.link.timeout_s": 3.0,
             "run.dir": str(tmp_path / "run"),
         }
         return tiny({**standard, **(changes or {})})
@@ -383,4 +384,3 @@ def test_a_grid_that_takes_fewer_messages_is_an_error(
     config = on_flower()
     with pytest.raises(FlowerError, match="Flower took 1 of 2 messages"):
         play(config, fleet=make_fleet(config, Full(2)))
-
