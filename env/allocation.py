@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from env import access
 from env.config import EnvConfig
 from env.power import Projection, fractions, scaled_to_budget
+
+TINY = 1e-300
+_Value = TypeVar("_Value", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,7 @@ class Downlink:
         self._resolve = power.resolve
         projects = power.resolve == "project"
         self._projection = Projection(config.robots, power.levels) if projects else None
+        self._power_w = fractions(np.arange(power.levels + 1)) * self.max_power_w
 
     def allocate(
         self, gain: NDArray[np.float64], picks: NDArray[np.int64], served: NDArray[np.bool_]
@@ -64,33 +69,52 @@ class Downlink:
             The allocation, arrays of shape (B, K).
         """
         order = access.decoding_order(gain, served)
-        ranked_gain = np.take_along_axis(gain, order, axis=-1)
-        ranked_served = np.take_along_axis(served, order, axis=-1)
-        ranked_picks = np.take_along_axis(np.where(served, picks, 0), order, axis=-1)
-        fraction, projected, dropped = self._powers(ranked_gain, ranked_picks, ranked_served)
-        power_w = fraction * self.max_power_w
-        failed = access.sic_failures(ranked_gain, power_w, ranked_served, self.margin_w)
-        residual = failed if self._resolve == "residual" else None
-        rate = access.downlink_rates(ranked_gain, power_w, self.noise_w, residual)
+        place = order + np.arange(0, gain.size, gain.shape[-1])[:, None]
+        ranked_gain, ranked_served = gain.take(place), served.take(place)
+        sent = self._send(ranked_gain, picks.take(place) * ranked_served, ranked_served)
+        residual = sent.failed if self._resolve == "residual" else None
+        rate = access.downlink_rates(ranked_gain, sent.power_w, self.noise_w, residual)
         if self._resolve == "zero":
-            rate = np.where(failed, 0.0, rate)
-        back = np.argsort(order, axis=-1)
+            rate = np.where(sent.failed, 0.0, rate)
         return Allocation(
-            rate=np.take_along_axis(rate, back, axis=-1),
-            power_w=np.take_along_axis(power_w, back, axis=-1),
+            rate=_unranked(rate, place),
+            power_w=_unranked(sent.power_w, place),
             order=order,
-            sic_failed=np.take_along_axis(failed, back, axis=-1),
-            projected=projected,
-            margin_dropped=dropped,
+            sic_failed=_unranked(sent.failed, place),
+            projected=sent.projected,
+            margin_dropped=sent.margin_dropped,
         )
 
-    def _powers(
+    def _send(
         self, gain: NDArray[np.float64], picks: NDArray[np.int64], served: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Fractions of P_max by rank, and where picks were changed or the margin dropped."""
+    ) -> _Sent:
+        """Resolves picks, all in rank order, shape (B, K); picks are 0 where not served."""
         if self._projection is None:
             nowhere = np.zeros(len(picks), dtype=bool)
-            return scaled_to_budget(fractions(picks)), nowhere, nowhere
-        least_gap = self.margin_w / self.max_power_w / np.maximum(gain[:, :-1], 1e-300)
+            power_w = scaled_to_budget(fractions(picks)) * self.max_power_w
+            failed = access.sic_failures(gain, power_w, served, self.margin_w)
+            return _Sent(power_w, failed, projected=nowhere, margin_dropped=nowhere)
+        least_gap = self.margin_w / self.max_power_w / np.maximum(gain[:, :-1], TINY)
         levels, dropped = self._projection(picks, served.sum(axis=-1), least_gap)
-        return fractions(levels), (levels != picks).any(axis=-1), dropped
+        power_w = self._power_w.take(levels)
+        failed = np.zeros_like(served)
+        if dropped.any():
+            failed[dropped] = access.sic_failures(gain, power_w, served, self.margin_w)[dropped]
+        return _Sent(power_w, failed, (levels != picks).any(axis=-1), dropped)
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """What is sent, in rank order, shape (B, K), and what became of the picks, shape (B,)."""
+
+    power_w: NDArray[np.float64]
+    failed: NDArray[np.bool_]
+    projected: NDArray[np.bool_]
+    margin_dropped: NDArray[np.bool_]
+
+
+def _unranked(values: NDArray[_Value], place: NDArray[np.int64]) -> NDArray[_Value]:
+    """Values by rank, put back into robot order; ``place`` is each rank's flat index."""
+    result = np.empty_like(values)
+    result.put(place, values)
+    return result

@@ -7,8 +7,6 @@ r < count. Powers here are fractions of P_max: their sums are exact in floating 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -114,7 +112,6 @@ def _trace(
     return chosen, feasible
 
 
-@dataclass(frozen=True)
 class Projection:
     """The nearest feasible powers, with the common case looked up in a table.
 
@@ -126,25 +123,17 @@ class Projection:
         levels: N_P, at least K.
     """
 
-    robots: int
-    levels: int
-    _table: NDArray[np.int64] | None = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        """Tabulates the projection of all picks where they are few."""
-        object.__setattr__(self, "_table", None)
-        size = (self.levels + 1) ** self.robots
+    def __init__(self, robots: int, levels: int) -> None:
+        self._levels = levels
+        self._table: NDArray[np.int64] | None = None
+        size = (levels + 1) ** robots
         if size <= MAX_TABLE:
-            digits = np.arange(size)[:, None] // self._place
-            picks = digits % (self.levels + 1)
+            self._place = np.asarray((levels + 1) ** np.arange(robots))
+            picks = np.arange(size)[:, None] // self._place % (levels + 1)
             # Level 0 marks ranks not served, which come last.
-            count = (np.cumprod(picks > 0, axis=-1)).sum(axis=-1)
-            table, _ = project_levels(np.maximum(picks, 1), count, self.levels)
-            object.__setattr__(self, "_table", table)
-
-    @property
-    def _place(self) -> NDArray[np.int64]:
-        return np.asarray((self.levels + 1) ** np.arange(self.robots))
+            count = np.cumprod(picks > 0, axis=-1).sum(axis=-1)
+            self._table, _ = project_levels(np.maximum(picks, 1), count, levels)
+            self._gaps = _gaps(self._table)
 
     def __call__(
         self, picks: NDArray[np.int64], count: NDArray[np.int64], least_gap: NDArray[np.float64]
@@ -161,17 +150,24 @@ class Projection:
             keeps it, shape (B,).
         """
         if self._table is not None:
-            levels = self._table[(picks * self._place).sum(axis=-1)]
+            index = picks @ self._place
+            levels, gaps = self._table.take(index, axis=0), self._gaps.take(index, axis=0)
         else:
-            levels, _ = project_levels(np.maximum(picks, 1), count, self.levels)
+            levels, _ = project_levels(np.maximum(picks, 1), count, self._levels)
+            gaps = _gaps(levels)
         dropped = np.zeros(len(picks), dtype=bool)
-        fraction = fractions(levels)
-        gap = fraction[:, 1:] - np.cumsum(fraction, axis=-1)[:, :-1]
-        short = ((gap < least_gap) & (levels[:, 1:] > 0)).any(axis=-1)
+        short = (gaps < least_gap).any(axis=-1)
         if short.any():
             kept, feasible = project_levels(
-                np.maximum(picks[short], 1), count[short], self.levels, least_gap[short]
+                np.maximum(picks[short], 1), count[short], self._levels, least_gap[short]
             )
             levels[short] = np.where(feasible[:, None], kept, levels[short])
             dropped[short] = ~feasible
         return levels, dropped
+
+
+def _gaps(levels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """p_k less the power of all stronger ranks, over P_max, ranks 2..K; inf where not served."""
+    fraction = fractions(levels)
+    gap = fraction[:, 1:] - np.cumsum(fraction, axis=-1)[:, :-1]
+    return np.where(levels[:, 1:] > 0, gap, np.inf)

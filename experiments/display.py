@@ -52,7 +52,7 @@ def read_progress(folder: Path) -> dict[str, Any] | None:
         written: dict[str, Any] = json.loads((folder / "progress.json").read_text())
     except (OSError, ValueError):
         return None
-    return _NOTHING_YET | written
+    return _NOTHING_YET | written if isinstance(written, dict) else None
 
 
 def share_done(status: dict[str, Any]) -> float:

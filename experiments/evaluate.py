@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from safetensors import SafetensorError
 from safetensors.numpy import load_file
+from yaml import YAMLError  # type: ignore[import-untyped]
 
 from agent import single_threaded
 from conf import Config, ConfigError, ap_network, from_yaml, robot_network
@@ -31,6 +32,8 @@ def main(arguments: Sequence[str]) -> int:
     try:
         config = _read_config(folder)
         robots, ap = read_weights(folder, config)
+        if given.json and not Path(given.json).absolute().parent.is_dir():
+            raise ConfigError(f"--json {given.json}: allowed is a file in a folder that exists.")
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
@@ -100,7 +103,7 @@ def _read_config(folder: Path) -> Config:
     path = folder / "config.yaml"
     try:
         return from_yaml(path.read_text())
-    except OSError as error:
+    except (OSError, UnicodeDecodeError, YAMLError) as error:
         raise ConfigError(f"{folder} is no run folder: {path.name} cannot be read.") from error
 
 
@@ -111,7 +114,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--epsilon", type=_share, action="append", help="exploration; may be given again"
     )
-    parser.add_argument("--seed", type=int, help="seed of the held-out starts, if not the run's")
+    parser.add_argument(
+        "--seed", type=_not_negative, help="seed of the held-out starts, if not the run's"
+    )
     parser.add_argument("--json", metavar="FILE", help="write the measures there too")
     return parser
 
@@ -120,6 +125,13 @@ def _positive(text: str) -> int:
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text}: allowed is a number of at least 1")
+    return value
+
+
+def _not_negative(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: allowed is a number of at least 0")
     return value
 
 

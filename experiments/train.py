@@ -68,7 +68,11 @@ def train(config: Config, folder: Path) -> int:
     console = Console()
     folder = folder.absolute()
     config = dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder)))
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        allowed = f"a folder that can be made ({error.strerror})"
+        raise ConfigError.of([("run.dir", folder, allowed)]) from error
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
     with StopOnInterrupt(folder, console) as stop, Display(folder, console):
         summary = RUNTIMES[config.runtime.name](config, folder)

@@ -152,10 +152,10 @@ class FlowerFleet:
         self._link.admit(list(self._blocks.values()), tokens, self._shape)
         messages = [self._train_message(node, tokens) for node in self._blocks]
         self._replies = {}
-        sent = list(self._grid.push_messages(messages))
-        self._pending = dict(zip(sent, self._blocks, strict=False))
-        if len(self._pending) != len(self._blocks):
-            raise FlowerError(f"Flower took {len(self._pending)} of {len(messages)} messages")
+        sent = [name for name in self._grid.push_messages(messages) if name]  # None: refused
+        if len(sent) != len(messages):
+            raise FlowerError(f"Flower took {len(sent)} of {len(messages)} messages")
+        self._pending = dict(zip(sent, self._blocks, strict=True))
         self._model = None
         deadline_s = self._config.runtime.start_timeout_s
         try:

@@ -1,21 +1,25 @@
 """The projection of picks onto feasible powers, against a search of all combinations."""
 
+import functools
 from itertools import combinations
+from unittest import mock
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from env.power import MAX_TABLE, Projection, fractions, project_levels, scaled_to_budget
+from env.allocation import Downlink
+from env.config import EnvConfig, PowerConfig
+from env.power import MAX_TABLE, fractions, project_levels, scaled_to_budget
 
 NEVER = 2.0
 
 
 @st.composite
-def problems(draw, fewest=6, most=6):
+def problems(draw, most=6):
     """One row: picks by rank, N_P, and the least gap at each rank past the first."""
-    ranks, count = draw(st.integers(1, most)), draw(st.integers(fewest, 12))
+    ranks, count = draw(st.integers(1, most)), draw(st.integers(6, 12))
     picks = draw(st.lists(st.integers(1, count), min_size=ranks, max_size=ranks))
     # Gaps that powers of two reach exactly, and others between and beyond them.
     exact = st.integers(1, count).map(lambda level: 2.0**-level)
@@ -44,9 +48,35 @@ def project(picks, levels, gaps=None):
     return found[0].tolist() if feasible[0] else None
 
 
-def without_table(projection):
-    object.__setattr__(projection, "_table", None)
-    return projection
+@functools.cache
+def downlink(robots, levels, tabled=True):
+    """The AP's rule with its table of projections, or without one."""
+    with mock.patch("env.power.MAX_TABLE", MAX_TABLE if tabled else 0):
+        power = PowerConfig(levels=levels, resolve="project")
+        return Downlink(EnvConfig(robots=robots, power=power))
+
+
+def send(rule, picks, counts, gains):
+    """What is sent for picks and falling gains in rank order, as levels and where dropped."""
+    served = np.arange(np.shape(picks)[1]) < np.array(counts)[:, None]
+    found = rule.allocate(np.array(gains), np.where(served, picks, 1), served)
+    with np.errstate(divide="ignore"):
+        levels = -np.log2(found.power_w / rule.max_power_w)
+    return np.where(served, levels.round(), 0).astype(int).tolist(), found.margin_dropped.tolist()
+
+
+def gaps_of(rule, gains):
+    """The least p_k less all stronger powers, over P_max, at ranks 2..K."""
+    return [rule.margin_w / rule.max_power_w / gain for gain in gains[:-1]]
+
+
+@st.composite
+def faint_slots(draw, robots, levels):
+    """Picks by rank, how many are served, and falling gains that margins of some levels need."""
+    pick, gain = st.integers(1, levels), st.floats(1e-11, 1e-8)
+    gains = sorted(draw(st.lists(gain, min_size=robots, max_size=robots)), reverse=True)
+    picks = draw(st.lists(pick, min_size=robots, max_size=robots))
+    return picks, draw(st.integers(0, robots)), gains
 
 
 @given(problems())
@@ -104,52 +134,47 @@ def test_rows_keep_to_themselves_whatever_their_counts():
     assert 0 < feasible.sum() < 60
 
 
-@given(st.integers(0, 10_000), st.sampled_from([(2, 6), (3, 6), (4, 6), (3, 12)]))
-@settings(deadline=None, max_examples=20)
-def test_the_table_answers_as_the_search_does(seed, case):
-    robots, levels = case
-    generator = np.random.default_rng(seed)
-    count = generator.integers(0, robots + 1, size=40)
-    picks = generator.integers(1, levels + 1, size=(40, robots))
-    picks = np.where(np.arange(robots) < count[:, None], picks, 0)
-    gaps = generator.choice([0.0, 1e-3, 0.05, 0.2, NEVER], size=(40, robots - 1))
-    tabled, searching = Projection(*case), without_table(Projection(*case))
-    assert tabled._table is not None
-    for found, expected in zip(
-        tabled(picks, count, gaps), searching(picks, count, gaps), strict=True
-    ):
-        assert found.tolist() == expected.tolist()
-
-
-@given(problems(fewest=12))
+@pytest.mark.parametrize(("robots", "levels"), [(2, 6), (3, 6), (4, 6), (3, 12), (6, 12)])
+@given(st.data())
 @settings(deadline=None, max_examples=40)
-def test_many_robots_and_levels_are_projected_without_a_table(case):
-    picks, levels, gaps = case
-    picks, gaps = picks + [0] * (6 - len(picks)), gaps + [0.0] * (5 - len(gaps))
-    count = len(case[0])
-    projection = Projection(6, levels)
-    assert (levels + 1) ** 6 > MAX_TABLE
-    assert projection._table is None
-    found, dropped = projection(np.array([picks]), np.array([count]), np.array([gaps]))
-    kept = nearest(picks[:count], levels, gaps[: count - 1])
-    assert dropped.tolist() == [kept is None]
-    expected = kept or nearest(picks[:count], levels)
-    assert found[0].tolist() == expected + [0] * (6 - count)
+def test_what_is_sent_is_nearest_with_or_without_a_table(robots, levels, data):
+    """Under the margins of the channels; where no combination keeps them, without margins."""
+    picks, count, gains = data.draw(faint_slots(robots, levels))
+    tabled, searching = (downlink(robots, levels, which) for which in (True, False))
+    gaps = gaps_of(tabled, gains)
+    kept = nearest(picks[:count], levels, gaps[: max(count - 1, 0)])
+    expected = (kept or nearest(picks[:count], levels)) + [0] * (robots - count)
+    for either in (tabled, searching):
+        found = send(either, [picks], [count], [gains])
+        assert found == ([expected], [kept is None])
+
+
+def test_margins_move_some_slots_and_leave_none_to_others():
+    """The gains of the test above reach all three cases."""
+    generator = np.random.default_rng(0)
+    gains = np.sort(10 ** generator.uniform(-11, -8, size=(400, 3)))[:, ::-1].tolist()
+    picks = generator.integers(1, 7, size=(400, 3)).tolist()
+    rule = downlink(3, 6)
+    found = [nearest(p, 6, gaps_of(rule, g)) for p, g in zip(picks, gains, strict=True)]
+    plain = [nearest(p, 6) for p in picks]
+    assert sum(f is None for f in found) > 20
+    assert sum(f not in (None, p) for f, p in zip(found, plain, strict=True)) > 20
+    assert sum(f == p for f, p in zip(found, plain, strict=True)) > 20
 
 
 def test_where_no_combination_keeps_the_margin_it_is_dropped_for_that_row_alone():
-    picks, count = np.array([[2, 2], [2, 2], [2, 0]]), np.array([2, 2, 1])
-    levels, dropped = Projection(2, 6)(picks, count, np.array([[NEVER], [0.3], [NEVER]]))
-    assert levels.tolist() == [[3, 2], [3, 1], [2, 0]]
-    assert dropped.tolist() == [True, False, False]
+    # Gaps of 2, 0.3 and 2 at the second rank; the last row serves one robot.
+    gains = [[5e-12, 1e-12], [1e-11 / 0.3, 1e-12], [5e-12, 1e-12]]
+    levels, dropped = send(downlink(2, 6), [[2, 2], [2, 2], [2, 1]], [2, 2, 1], gains)
+    assert levels == [[3, 2], [3, 1], [2, 0]]
+    assert dropped == [True, False, False]
 
 
-def test_projecting_does_not_change_the_table():
-    projection = Projection(2, 6)
-    picks, count = np.array([[2, 2]]), np.array([2])
-    projection(picks, count, np.array([[0.2]]))
-    levels, _ = projection(picks, count, np.array([[0.0]]))
-    assert levels.tolist() == [[3, 2]]
+def test_a_slot_leaves_no_trace_in_the_next():
+    rule, strong, faint = downlink(2, 6), [[1e-6, 1e-7]], [[1e-11 / 0.3, 1e-12]]
+    before = send(rule, [[2, 2]], [2], strong)
+    assert send(rule, [[2, 2]], [2], faint) == ([[3, 1]], [False])
+    assert send(rule, [[2, 2]], [2], strong) == before == ([[3, 2]], [False])
 
 
 def test_a_level_is_a_halving_and_level_zero_is_nothing():

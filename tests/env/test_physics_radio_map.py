@@ -115,6 +115,16 @@ def test_phases_are_periodic(turns):
         assert turned.channel(cells, np.array(action)) == pytest.approx(expected, rel=1e-9)
 
 
+def test_each_subsurface_turns_its_own_part():
+    tables = dataclasses.replace(
+        build_radio_map(EnvConfig(ris=RisConfig(side=4, subsurfaces=2, bits=1))),
+        direct=np.array([1.0 + 0j]),
+        reflected=np.array([[2.0 + 0j, 5.0 + 0j]]),
+    )
+    # Action 1 is digits 1 and 0: the first sub-surface takes 3 pi/2, the second pi/2.
+    assert tables.channel(np.array([0]), np.array(1)) == pytest.approx([1 - 2j + 5j])
+
+
 def test_each_world_gets_the_channel_of_its_own_phases():
     tables = build_radio_map(EnvConfig(ris=RisConfig(side=4, subsurfaces=2)))
     cells = np.array([[0, 100, 3599], [59, 100, 1800]])

@@ -337,7 +337,7 @@ def test_what_a_robot_raises_ends_the_run_at_once(tiny: Tiny, play: Callable[...
         play(config, fleet=Broken(SpiedWorld(config), []))
 
 
-# --- The same bits, however robots are grouped -----------------------------------------------------
+# --- The same bits, however robots are grouped ----------------------------------------------------
 
 BLOCKS = ([(0, 1, 2)], [(0, 1), (2,)], [(0,), (1,), (2,)], [(2, 0), (1,)])
 

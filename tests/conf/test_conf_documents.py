@@ -1,0 +1,87 @@
+"""The documents name functions, tests and keys that exist, and leave no key out."""
+
+import ast
+import dataclasses
+import re
+from importlib import import_module
+
+import pytest
+
+from conf import Config
+from conf.compose import FOLDER
+
+ROOT = FOLDER.parent
+MODEL = (ROOT / "docs" / "model.md").read_text()
+ASSUMPTIONS = (ROOT / "docs" / "assumptions.md").read_text()
+OPEN_POINTS = [line for line in ASSUMPTIONS.splitlines() if line.startswith("| C-")]
+WHERE_IT_RUNS = ("runtime.", "federation.link.", "run.")
+HOW_FLOWER_CARRIES_IT = ("federation.windows_per_round", "federation.clients")
+
+
+def leaves(value, above=""):
+    for item in dataclasses.fields(value):
+        inner, key = getattr(value, item.name), f"{above}{item.name}"
+        if dataclasses.is_dataclass(inner):
+            yield from leaves(inner, f"{key}.")
+        else:
+            yield key
+
+
+KEYS = set(leaves(Config()))
+
+
+def functions(path):
+    """Every class and function of a file, methods as ``Class.method``."""
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            yield node.name
+
+
+@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(\w+/\w+\.py::\w+)`", MODEL))))
+def test_a_test_that_the_model_names_exists(name):
+    file, function = name.split("::")
+    assert function in functions(ROOT / "tests" / file)
+
+
+@pytest.mark.parametrize(
+    "name", sorted(set(re.findall(r"`((?:env|agent|client_app|server_app|conf)\.[\w.]+)`", MODEL)))
+)
+def test_a_function_that_the_model_names_exists(name):
+    package, module, *path = name.split(".")
+    found = import_module(f"{package}.{module}")
+    for part in path:
+        found = getattr(found, part)
+    assert callable(found)
+
+
+def test_the_model_has_a_row_for_every_numbered_equation():
+    rows = "\n".join(line.split("|")[1] for line in MODEL.splitlines() if line.startswith("| ("))
+    expected = {f"({n})" for n in (1, 2, 3, 4, *range(6, 13))} | {f"(5{c})" for c in "abcdefgh"}
+    assert set(re.findall(r"\(\w+\)", rows)) == expected
+
+
+def test_every_key_that_shapes_a_result_is_an_assumption_and_every_key_named_exists():
+    named = {key for row in OPEN_POINTS for key in re.findall(r"`([a-z_.]+)`", row) if key in KEYS}
+    dotted = {
+        key for row in OPEN_POINTS for key in re.findall(r"`((?:env|agent)\.[a-z_.]+)`", row)
+    }
+    left_out = {
+        key
+        for key in KEYS
+        if not key.startswith(WHERE_IT_RUNS) and key not in (*HOW_FLOWER_CARRIES_IT, "env.robots")
+    }
+    assert dotted <= KEYS
+    assert left_out - named == set()
+
+
+def test_assumptions_have_ids_of_their_own_and_the_code_cites_no_other():
+    ids = [row.split("|")[1].strip() for row in OPEN_POINTS]
+    assert len(ids) == len({*ids})
+    cited = {
+        found
+        for package in ("env", "agent", "conf", "client_app", "server_app", "experiments")
+        for path in (ROOT / package).rglob("*.py")
+        for found in re.findall(r"\bC-[A-Z]{2,}\b", path.read_text())
+    }
+    assert "C-PHASE" in cited
+    assert cited <= {*ids}
