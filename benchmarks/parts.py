@@ -13,10 +13,22 @@ import numpy as np
 from agent import single_threaded
 from benchmarks.local import LocalRun, configured
 from benchmarks.result import Result
+from env.slice import Slice
 from env.tally import EpisodeTally
+from server_app.aggregation import Aggregator
 
 HOW = "share of a local joint step, 3 robots and AP, by stopwatches around the calls"
-NAMES = ("robots_learn", "ap_learn", "robots_act", "ap_act", "world", "tally", "rest")
+NAMES = (
+    "robots_learn",
+    "robots_act",
+    "robots_slice",
+    "ap_learn",
+    "ap_act",
+    "world",
+    "tally",
+    "aggregation",
+    "rest",
+)
 
 
 class Stopwatches:
@@ -84,12 +96,16 @@ def _block(run: LocalRun, steps: int) -> tuple[dict[str, float], float]:
     methods: list[tuple[str, Any, str]] = [
         ("robots_learn", run.group.agents, "learn"),
         ("robots_act", run.group.agents, "act"),
+        ("robots_slice", Slice, "observe"),
+        ("robots_slice", Slice, "reward"),
         ("ap_learn", run.ap, "learn"),
         ("ap_act", run.ap, "act"),
         ("world", run.world, "step"),
         ("world", run.world, "local_observations"),
         ("world", run.world.observer, "of_all"),
         ("tally", EpisodeTally, "add"),
+        ("tally", EpisodeTally, "measures"),
+        ("aggregation", Aggregator, "aggregate"),
     ]
     began = time.perf_counter()
     with watches.around(methods):

@@ -95,10 +95,13 @@ def new_folder(config: Config) -> Path:
             count += 1
             folder = Path("runs") / f"{stem}-{count}"
         return folder
-    folder = Path(config.run.dir)
+    _check_unused(Path(config.run.dir))
+    return Path(config.run.dir)
+
+
+def _check_unused(folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
-    return folder
 
 
 class StopOnInterrupt:
@@ -144,6 +147,13 @@ def _train_all(overrides: Sequence[str]) -> int:
     folder = next(
         (item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None
     )
+    if folder is not None:
+        _check_unused(Path(folder))
+    statuses: list[int] = []
+
+    def job(node: DictConfig) -> None:
+        statuses.append(_job(node))
+
     register_schema()
     rest = [item for item in overrides if not item.startswith("run.dir=")]
     before, sys.argv = (
@@ -159,10 +169,10 @@ def _train_all(overrides: Sequence[str]) -> int:
         ],
     )
     try:
-        hydra_main(config_path=str(FOLDER), config_name="config", version_base="1.3")(_job)()
+        hydra_main(config_path=str(FOLDER), config_name="config", version_base="1.3")(job)()
     finally:
         sys.argv = before
-    return 0
+    return max(statuses, default=0)
 
 
 def _combinations(overrides: Sequence[str]) -> list[list[str]]:
@@ -175,7 +185,14 @@ def _combinations(overrides: Sequence[str]) -> list[list[str]]:
     return [list(combination) for batch in batches for combination in batch]
 
 
-def _job(node: DictConfig) -> None:
+def _job(node: DictConfig) -> int:
+    """One run of a sweep; one that fails says why and leaves the others to go on."""
     config = check(from_node(node))
-    if train(config, Path(HydraConfig.get().runtime.output_dir)) == INTERRUPTED:
+    try:
+        status = train(config, Path(HydraConfig.get().runtime.output_dir))
+    except (ConfigError, FlowerError, LinkError) as error:
+        print(f"risfleet: {error}", file=sys.stderr)
+        return 1
+    if status == INTERRUPTED:
         raise KeyboardInterrupt
+    return status

@@ -29,7 +29,7 @@ RULES = {
     },
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
-        "gymnasium", "pettingzoo", "hydra", "omegaconf",
+        "gymnasium", "pettingzoo", "hydra", "omegaconf", "yaml",  # the last comes with OmegaConf
     },
 }  # fmt: skip
 

@@ -73,7 +73,7 @@ def gaps_of(rule, gains):
 @st.composite
 def faint_slots(draw, robots, levels):
     """Picks by rank, how many are served, and falling gains that margins of some levels need."""
-    pick, gain = st.integers(1, levels), st.floats(1e-11, 1e-8)
+    pick, gain = st.integers(1, levels), st.floats(-11.5, -8).map(lambda x: 10**x)
     gains = sorted(draw(st.lists(gain, min_size=robots, max_size=robots)), reverse=True)
     picks = draw(st.lists(pick, min_size=robots, max_size=robots))
     return picks, draw(st.integers(0, robots)), gains
@@ -147,19 +147,6 @@ def test_what_is_sent_is_nearest_with_or_without_a_table(robots, levels, data):
     for either in (tabled, searching):
         found = send(either, [picks], [count], [gains])
         assert found == ([expected], [kept is None])
-
-
-def test_margins_move_some_slots_and_leave_none_to_others():
-    """The gains of the test above reach all three cases."""
-    generator = np.random.default_rng(0)
-    gains = np.sort(10 ** generator.uniform(-11, -8, size=(400, 3)))[:, ::-1].tolist()
-    picks = generator.integers(1, 7, size=(400, 3)).tolist()
-    rule = downlink(3, 6)
-    found = [nearest(p, 6, gaps_of(rule, g)) for p, g in zip(picks, gains, strict=True)]
-    plain = [nearest(p, 6) for p in picks]
-    assert sum(f is None for f in found) > 20
-    assert sum(f not in (None, p) for f, p in zip(found, plain, strict=True)) > 20
-    assert sum(f == p for f, p in zip(found, plain, strict=True)) > 20
 
 
 def test_where_no_combination_keeps_the_margin_it_is_dropped_for_that_row_alone():

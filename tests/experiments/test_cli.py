@@ -115,9 +115,7 @@ def test_a_port_in_use_is_found_before_anything_starts(refused: Refused) -> None
 
 
 @pytest.mark.parametrize("kind", ["full folder", "file", "below a file"])
-def test_a_run_folder_in_use_is_left_as_it_is(
-    refused: Refused, tmp_path: Path, kind: str
-) -> None:
+def test_a_run_folder_in_use_is_left_as_it_is(refused: Refused, tmp_path: Path, kind: str) -> None:
     folder = tmp_path / "run"
     if kind == "full folder":
         folder.mkdir()

@@ -17,8 +17,8 @@ from rich.console import Console
 from safetensors.numpy import load_file
 
 from agent import digest
-from conf import ConfigError, from_yaml
-from experiments import train
+from conf import Config, ConfigError, from_yaml
+from experiments import local, train
 from experiments.cli import main
 from experiments.flower import FlowerError
 from server_app.session import STOP_FILE
@@ -134,17 +134,28 @@ def test_a_sweep_leaves_a_folder_in_use_as_it_is(
     assert [path.name for path in (tmp_path / "sweep").iterdir()] == ["notes.txt"]
 
 
-def test_a_sweep_ends_with_the_run_that_fails_and_says_why(
+def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*_: Any) -> None:
-        raise FlowerError("Port 1 is in use.")
+    def fail_once(config: Config, folder: Path) -> dict[str, Any]:
+        if config.seed == 0:
+            raise FlowerError("Port 1 is in use.")
+        return local.train(config, folder)
 
-    monkeypatch.setitem(train.RUNTIMES, "local", fail)
+    monkeypatch.setitem(train.RUNTIMES, "local", fail_once)
     assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 1
-    said = capsys.readouterr().err
-    assert "risfleet: Port 1 is in use." in said
-    assert "Traceback" not in said
+    assert capsys.readouterr().err == "risfleet: Port 1 is in use.\n"
+    assert summary(tmp_path / "sweep" / "1")["seed"] == 1
+
+
+def test_ctrl_c_ends_a_whole_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(config: Config, folder: Path) -> dict[str, Any]:
+        signal.raise_signal(signal.SIGINT)
+        return local.train(config, folder)
+
+    monkeypatch.setitem(train.RUNTIMES, "local", interrupted)
+    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 130
+    assert summary(tmp_path / "sweep" / "0")["stopped_early"]
     assert not (tmp_path / "sweep" / "1").exists()
 
 
