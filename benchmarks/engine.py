@@ -93,7 +93,7 @@ class Plain:
 def engine(*, quick: bool = False) -> list[Result]:
     """Measures ``engine_vs_four_learners_h64`` and ``..._h128``."""
     single_threaded()
-    steps, blocks = (20, 3) if quick else (60, 15)
+    steps, blocks = (20, 2) if quick else (60, 15)
     return [_compared(width, target, steps, blocks) for width, target in WIDTHS.items()]
 
 

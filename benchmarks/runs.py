@@ -15,12 +15,14 @@ from benchmarks.result import Result, Target
 
 FLOWER = Target(0.10, at_least=False)
 TIMEOUT_S = 600.0
+GRACE_S = 30.0
 SEED = 0
 SIMULATION_HOW = (
     "steps per second of runtime=simulation over runtime=local, same seed, {} ticks,"
     " start-up left out; simulation between two local runs"
 )
 FLOWER_HOW = "wall time in which joint steps stand still for Flower, after start-up; same run"
+CPU_HOW = "processor time of the same runs, all processes, simulation over local"
 EVALUATION_HOW = "wall time of evaluations over that of training, local runs of {} ticks"
 
 
@@ -29,7 +31,7 @@ class RunError(RuntimeError):
 
 
 def runs(*, quick: bool = False) -> list[Result]:
-    """Measures ``simulation_vs_local``, ``flower_share`` and ``evaluation_share``."""
+    """Measures ``simulation_vs_local``, ``flower_share``, ``evaluation_share`` and the like."""
     ticks = 1000 if quick else 5000
     with tempfile.TemporaryDirectory(prefix="risfleet-bench-") as folder:
         local = [_train("local", ticks, Path(folder) / "first")]
@@ -45,10 +47,12 @@ def runs(*, quick: bool = False) -> list[Result]:
         "simulation_waiting_share": float(simulation["waited_s"] / simulation["training_s"]),
         "same_weights": float(simulation["digest"] == local[0]["digest"] == local[1]["digest"]),
     }
+    cpu = np.array([simulation["cpu_s"] / run["cpu_s"] for run in local])
     how = SIMULATION_HOW.format(simulation["ticks"])
     flower = np.array([simulation["flower_share"]])
     return [
         Result.over("simulation_vs_local", speed / local_speed, "ratio", how, None, details),
+        Result.over("simulation_cpu_vs_local", cpu, "ratio", CPU_HOW),
         Result.over("flower_share", flower, "share", FLOWER_HOW, FLOWER),
         Result.over("evaluation_share", share, "share", EVALUATION_HOW.format(local[0]["ticks"])),
     ]
@@ -67,9 +71,18 @@ def _train(runtime: str, ticks: int, folder: Path) -> dict[str, Any]:
         try:
             output, _ = process.communicate(timeout=TIMEOUT_S)
         except BaseException:
-            process.terminate()  # the run stops what it has started
+            _stop(process)
             raise
     if process.returncode != 0:
         raise RunError(f"risfleet train runtime={runtime} failed: {output[-2000:]}")
     summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
     return summary
+
+
+def _stop(process: subprocess.Popen[str]) -> None:
+    """Asks a run to stop what it has started and to end; ends it if it does not."""
+    process.terminate()
+    try:
+        process.wait(GRACE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()

@@ -17,13 +17,17 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError  # type: ignore[import-untyped]
 
 from agent.config import problems as agent_problems
 from conf.schema import Config
 from env.config import Problem
 from env.config import problems as env_problems
+from env.seeding import Stream, stream
+from env.world import draw_destinations
 
 FOLDER = Path(__file__).parent
+RUNTIMES = ("local", "simulation")
 GROUPS = ("env", "agent", "strategy", "runtime", "experiment")
 
 
@@ -109,7 +113,10 @@ def from_yaml(text: str) -> Config:
     Raises:
         ConfigError: it does not fit this version's schema.
     """
-    node = OmegaConf.create(text)
+    try:
+        node = OmegaConf.create(text)
+    except YAMLError as error:
+        raise ConfigError(f"the configuration is no YAML: {_first_sentence(error)}.") from error
     if not isinstance(node, DictConfig):
         raise ConfigError("the configuration is no mapping of keys to values.")
     return from_node(node)
@@ -117,17 +124,33 @@ def from_yaml(text: str) -> Config:
 
 def problems(config: Config) -> list[Problem]:
     """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
-    return [
+    found = [
         *_run_problems(config),
         *env_problems(config.env),
         *agent_problems(config.agent),
     ]
+    return found or _destination_problems(config)
+
+
+def _destination_problems(config: Config) -> list[Problem]:
+    """Whether the floor holds the destinations that are drawn; that depends on the seed."""
+    try:
+        draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
+    except ValueError as error:
+        return [("env.robots", config.env.robots, f"fewer, or closer destinations: {error}")]
+    return []
 
 
 def _run_problems(config: Config) -> list[Problem]:
     federation, robots = config.federation, config.env.robots
     clients_say = f"a number from 1 to env.robots={robots}, or null"
     checks: list[tuple[str, Any, bool, str]] = [
+        (
+            "runtime.name",
+            config.runtime.name,
+            config.runtime.name in RUNTIMES,
+            f"one of {', '.join(RUNTIMES)}",
+        ),
         ("seed", config.seed, config.seed >= 0, "a number of at least 0"),
         ("train.episodes", config.train.episodes, config.train.episodes >= 1, "at least 1"),
         (
@@ -193,8 +216,12 @@ def _at_least_one(value: int | None) -> bool:
     return value is None or value >= 1
 
 
-def check_overrides(overrides: Sequence[str]) -> None:
+def check_overrides(overrides: Sequence[str], *, sweep: bool = False) -> None:
     """Checks each override by itself: its form, its key, and its value's type.
+
+    Args:
+        overrides: such as ``env.robots=4``.
+        sweep: whether an override may list several values.
 
     Raises:
         ConfigError: names the first mistake.
@@ -207,6 +234,10 @@ def check_overrides(overrides: Sequence[str]) -> None:
         key = override.key_or_group
         if key.startswith("hydra"):
             continue
+        if not key:
+            raise ConfigError(f"{text!r} is not of the form key=value.")
+        if override.is_sweep_override() and not sweep:
+            raise ConfigError(f"{text!r} lists several values: allowed is one, or a sweep with -m.")
         if override.is_delete() or (override.is_add() and not override.is_force_add()):
             raise ConfigError(
                 f"{text!r}: keys can be neither added nor deleted, only set: key=value."
@@ -256,7 +287,7 @@ def _check_value(key: str, override: Override) -> None:
             kind = "a whole number" if "int" in _first_sentence(error).lower() else "a value"
             kind += " or null"
         else:
-            kind = _KINDS.get(type(default), "a value of another type")
+            kind = _KINDS.get(type(default)) or f"a list such as {_shown(default)}"
         raise ConfigError.of([(key, override.value(), kind)]) from error
 
 
@@ -265,7 +296,6 @@ _KINDS = {
     int: "a whole number",
     float: "a number",
     str: "a name",
-    list: "a list such as [64,64]",
 }
 
 
@@ -286,7 +316,7 @@ def _all_keys(value: Any, above: str = "") -> list[str]:
 
 
 def _shown(value: Any) -> str:
-    return "null" if value is None else str(value)
+    return "null" if value is None else str(value).replace(", ", ",")
 
 
 def _first_sentence(error: Exception) -> str:

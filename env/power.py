@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_TABLE = 50_000
-"""Picks for which the projection without margins is tabulated."""
+"""Most picks for which the projection without margins is remembered."""
 
 
 def fractions(levels: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -113,10 +113,11 @@ def _trace(
 
 
 class Projection:
-    """The nearest feasible powers, with the common case looked up in a table.
+    """The nearest feasible powers, with the common case remembered.
 
-    A combination without margins that happens to keep them is also the nearest one with them, so
-    the table answers unless a margin fails; then the dynamic programme runs.
+    A combination without margins that happens to keep them is also the nearest one with them, and
+    it depends on the picks alone: so it is kept in a table, and the dynamic programme runs again
+    only where a margin fails.
 
     Args:
         robots: K.
@@ -125,15 +126,13 @@ class Projection:
 
     def __init__(self, robots: int, levels: int) -> None:
         self._levels = levels
-        self._table: NDArray[np.int64] | None = None
         size = (levels + 1) ** robots
-        if size <= MAX_TABLE:
+        self._remembers = size <= MAX_TABLE
+        if self._remembers:
             self._place = np.asarray((levels + 1) ** np.arange(robots))
-            picks = np.arange(size)[:, None] // self._place % (levels + 1)
-            # Level 0 marks ranks not served, which come last.
-            count = np.cumprod(picks > 0, axis=-1).sum(axis=-1)
-            self._table, _ = project_levels(np.maximum(picks, 1), count, levels)
-            self._gaps = _gaps(self._table)
+            self._known = np.zeros(size, dtype=bool)
+            self._table = np.zeros((size, robots), dtype=np.int64)
+            self._gaps = np.zeros((size, robots - 1))
 
     def __call__(
         self, picks: NDArray[np.int64], count: NDArray[np.int64], least_gap: NDArray[np.float64]
@@ -149,12 +148,7 @@ class Projection:
             Levels, shape (B, K), and where the margin had to be dropped since no combination
             keeps it, shape (B,).
         """
-        if self._table is not None:
-            index = picks @ self._place
-            levels, gaps = self._table.take(index, axis=0), self._gaps.take(index, axis=0)
-        else:
-            levels, _ = project_levels(np.maximum(picks, 1), count, self._levels)
-            gaps = _gaps(levels)
+        levels, gaps = self._without_margin(picks, count)
         dropped = np.zeros(len(picks), dtype=bool)
         short = (gaps < least_gap).any(axis=-1)
         if short.any():
@@ -164,6 +158,21 @@ class Projection:
             levels[short] = np.where(feasible[:, None], kept, levels[short])
             dropped[short] = ~feasible
         return levels, dropped
+
+    def _without_margin(
+        self, picks: NDArray[np.int64], count: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The nearest levels with no margin to keep, and their gaps; remembered where few."""
+        if not self._remembers:
+            levels, _ = project_levels(np.maximum(picks, 1), count, self._levels)
+            return levels, _gaps(levels)
+        index = picks @ self._place
+        new = ~self._known.take(index)
+        if new.any():
+            at = index[new]
+            levels, _ = project_levels(np.maximum(picks[new], 1), count[new], self._levels)
+            self._table[at], self._gaps[at], self._known[at] = levels, _gaps(levels), True
+        return self._table.take(index, axis=0), self._gaps.take(index, axis=0)
 
 
 def _gaps(levels: NDArray[np.int64]) -> NDArray[np.float64]:

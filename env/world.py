@@ -43,8 +43,8 @@ class Outcome:
 class World:
     """B independent copies of the floor, with K robots each, stepped together.
 
-    A robot drives until it arrives or its episode ends; after that it takes no power, has no rate
-    and does not move. Nothing resets by itself.
+    A robot drives until it arrives; after that it takes no power, has no rate and does not move.
+    Nothing resets by itself: where an outcome is truncated, the caller ends the episode.
 
     Args:
         config: the environment.
@@ -161,7 +161,11 @@ class World:
         return Outcome(
             rate=allocation.rate,
             local_reward=np.where(drove, local, 0.0),
-            global_reward=reward.global_reward(allocation.rate.sum(axis=-1), weights),
+            global_reward=np.where(
+                drove.any(axis=-1),
+                reward.global_reward(allocation.rate.sum(axis=-1), weights),
+                0.0,
+            ),
             drove=drove,
             arrived=arrived,
             terminated=terminated,

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 from safetensors import SafetensorError
 from safetensors.numpy import load_file
-from yaml import YAMLError  # type: ignore[import-untyped]
 
 from agent import single_threaded
 from conf import Config, ConfigError, ap_network, from_yaml, robot_network
@@ -103,7 +102,7 @@ def _read_config(folder: Path) -> Config:
     path = folder / "config.yaml"
     try:
         return from_yaml(path.read_text())
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
+    except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{folder} is no run folder: {path.name} cannot be read.") from error
 
 

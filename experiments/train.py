@@ -141,7 +141,7 @@ class StopOnInterrupt:
 
 def _train_all(overrides: Sequence[str]) -> int:
     """Runs every combination of a sweep, all of them checked before the first one starts."""
-    check_overrides(overrides)
+    check_overrides(overrides, sweep=True)
     for combination in _combinations(overrides):
         checked(combination)
     folder = next(

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from benchmarks.__main__ import main
+from benchmarks.__main__ import known, main
 
 
 @pytest.mark.parametrize("name", ["engine", "worlds", "parts", "scaling"])
@@ -22,10 +22,12 @@ def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):
             assert number > 0
 
 
-def test_a_result_chooses_the_benchmark_that_finds_it(tmp_path):
-    path = tmp_path / "bench.json"
-    main(["--quick", "--only", "world_step_vs_cartpole_k3", "--json", str(path)])
-    assert "world_batch_256_vs_1" in json.loads(path.read_text())
+@pytest.mark.parametrize(
+    ("result", "benchmark"),
+    [("world_step_vs_cartpole_k3", "worlds"), ("link_share", "deployment"), ("runs", "runs")],
+)
+def test_a_result_chooses_the_benchmark_that_finds_it(result, benchmark):
+    assert known(result) == benchmark
 
 
 def test_an_unknown_name_ends_the_command_with_a_message(capsys):

@@ -21,7 +21,7 @@ RULES = {
     "env.single_robot": {"env", "numpy", "gymnasium", "pettingzoo"},
     "env": {"env", "numpy"},
     "agent": {"agent", "numpy", "torch", "safetensors"},
-    "conf": {"conf", "agent", "env", "hydra", "omegaconf"},
+    "conf": {"conf", "agent", "env", "hydra", "omegaconf", "yaml"},
     "client_app": {"client_app", "agent", "env", "conf", "flwr", "numpy"},
     "server_app": {
         "server_app", "agent", "env", "conf", "flwr", "numpy",
@@ -29,7 +29,7 @@ RULES = {
     },
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
-        "gymnasium", "pettingzoo", "hydra", "omegaconf", "yaml",  # the last comes with OmegaConf
+        "gymnasium", "pettingzoo", "hydra", "omegaconf",
     },
 }  # fmt: skip
 

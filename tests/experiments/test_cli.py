@@ -68,7 +68,7 @@ def test_no_command_shows_the_usage(capsys: pytest.CaptureFixture[str]) -> None:
         ("runtime=cloud", ["runtime=cloud", "local, simulation"]),
         ("env.power.levels=2", ["env.power.levels=2", "env.robots=3", "project"]),
         ("env.ris.subsurfaces=7", ["env.ris.subsurfaces=7", "divisor of the 900"]),
-        ("env.tasks.destinations_m=[[99,1]]", ["[99, 1]", "inside the room of 30 m x 30 m"]),
+        ("env.tasks.destinations_m=[[99,1]]", ["[99,1]", "inside the room of 30 m x 30 m"]),
         ("strategy.proximal_mu=0.1", ["strategy.proximal_mu=0.1", "only fedprox reads it"]),
         ("federation.clients=4", ["federation.clients=4", "from 1 to env.robots=3"]),
         ("seed", ["'seed' is not of the form key=value"]),

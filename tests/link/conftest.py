@@ -1,6 +1,5 @@
 """A server for each test, and nothing left of it afterwards."""
 
-# ruff: noqa: D102
 
 import threading
 

@@ -1,0 +1,341 @@
+"""Whole runs on Flower's simulation runtime: the bits of one process, and nothing left behind."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import sysconfig
+import time
+import uuid
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from safetensors.numpy import load_file
+
+from agent import digest
+from experiments.cli import main
+from experiments.flower import Components, superlink
+from experiments.flower.environment import child_environment, free_port
+from experiments.flower.processes import MARKER, Process, identify, members, terminate
+from experiments.flower.session import Session
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 300.0
+LENGTH = ("train.max_ticks=150", "federation.every=25")
+
+Train = Callable[..., int]
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return content
+
+
+def with_changes(overrides: Sequence[str], *changes: str) -> list[str]:
+    """Overrides with others put in the place of those of the same key."""
+    keys = {change.split("=")[0] for change in changes}
+    return [item for item in overrides if item.split("=")[0] not in keys] + list(changes)
+
+
+def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str] | None = None) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert process is None or process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, "it never happened"
+        time.sleep(0.2)
+
+
+def state_of(folder: Path) -> str:
+    """What a run says of itself; empty before it has begun."""
+    try:
+        return str(json.loads((folder / "progress.json").read_text())["state"])
+    except (OSError, ValueError):
+        return ""
+
+
+@pytest.fixture
+def sessions(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Session]]:
+    """The sessions that a test starts: at its end none of their processes and folders is left."""
+    started: list[Session] = []
+    begin = Session.__init__
+
+    def remembered(self: Session) -> None:
+        begin(self)
+        started.append(self)
+
+    monkeypatch.setattr(Session, "__init__", remembered)
+    yield started
+    for session in started:
+        left = members(session.marker)
+        terminate(session.marker)
+        assert left == set()
+        assert not session.folder.exists()
+
+
+@pytest.fixture
+def train(tmp_path: Path, tiny_overrides: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> Train:
+    """Trains the tiny task with the command, in the test's folder of the given name."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name: str, *changes: str) -> int:
+        given = with_changes(tiny_overrides, *LENGTH, *changes, f"run.dir={tmp_path / name}")
+        return main(["train", *given])
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def expected(
+    tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, str]:
+    """The digests of the tiny task in one process."""
+    folder = tmp_path_factory.mktemp("local") / "run"
+    assert main(["train", *with_changes(tiny_overrides, *LENGTH, f"run.dir={folder}")]) == 0
+    found: dict[str, str] = summary(folder)["digest"]
+    return found
+
+
+# --- The same bits --------------------------------------------------------------------------------
+
+
+@pytest.mark.flower
+@pytest.mark.parametrize(("clients", "per_round"), [(3, 1), (2, "null")])
+def test_the_simulation_ends_in_the_bits_of_one_process(
+    tmp_path: Path,
+    train: Train,
+    expected: dict[str, str],
+    sessions: list[Session],
+    capsys: pytest.CaptureFixture[str],
+    clients: int,
+    per_round: int | str,
+) -> None:
+    changes = [f"federation.clients={clients}", f"federation.windows_per_round={per_round}"]
+    status = train("run", "runtime=simulation", *changes)
+    said = capsys.readouterr()
+    assert status == 0, said.err
+    found = summary(tmp_path / "run")
+    assert found["digest"] == expected
+    assert (found["runtime"], found["ticks"], found["windows"]) == ("simulation", 150, 6)
+    assert found["flower_share"] > 0
+    assert found["costs"]["bytes_to_robots"] > 0
+    arrays = load_file(tmp_path / "run" / "weights.safetensors")
+    assert digest(arrays["robots"]) == expected["robots"]
+    assert state_of(tmp_path / "run") == "done"
+    assert "last 5 in training" in said.out
+    assert (tmp_path / "run" / "flower.log").stat().st_size > 0
+    assert len(sessions) == 1
+
+
+# --- Ctrl-C ---------------------------------------------------------------------------------------
+
+
+def marker_below(process: subprocess.Popen[str]) -> str:
+    """The marker of the session that a command has started."""
+    top = identify(process.pid)
+    assert top is not None
+    for row in members(None, [top]):
+        found = _variable(row, MARKER)
+        if found:
+            return found
+    return ""
+
+
+def _variable(process: Process, name: str) -> str:
+    try:
+        text = Path(f"/proc/{process.pid}/environ").read_bytes().decode(errors="replace")
+    except OSError:
+        return ""
+    pairs = dict(item.partition("=")[::2] for item in text.split("\0"))
+    return pairs.get(name, "")
+
+
+@pytest.mark.flower
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
+def test_ctrl_c_ends_a_simulation_with_what_it_has_learned(
+    tmp_path: Path, tiny_overrides: Sequence[str]
+) -> None:
+    folder = tmp_path / "run"
+    changes = ["train.max_ticks=null", "train.episodes=100000000", "runtime=simulation"]
+    given = with_changes(tiny_overrides, *changes, "federation.clients=2", f"run.dir={folder}")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", "train", *given],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    marker = ""
+    try:
+        wait_until(lambda: state_of(folder) == "training", process)
+        marker = marker_below(process)
+        assert marker
+        process.send_signal(signal.SIGINT)
+        printed, errors = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 130, errors
+        assert "Stopped early by Ctrl-C" in printed
+        found = summary(folder)
+        assert found["stopped_early"]
+        robots = load_file(folder / "weights.safetensors")["robots"]
+        assert digest(robots) == found["digest"]["robots"]
+        assert not (folder / "stop").exists()
+        assert members(marker) == set()
+    finally:
+        if marker:
+            terminate(marker)
+        process.kill()
+        process.communicate()
+
+
+# --- Flower's own command -------------------------------------------------------------------------
+
+
+@pytest.fixture
+def flwr_home(tmp_path: Path) -> Iterator[dict[str, str]]:
+    """The variables of a user's shell with a Flower home and ports of its own."""
+    marker = uuid.uuid4().hex
+    short = Path(f"/tmp/rf-{marker[:8]}")  # Ray's sockets lie below it: their paths must be short
+    short.mkdir()
+    variables = child_environment(short, marker)
+    variables["FLWR_LOCAL_SUPERLINK_HTTP_API_PORT"] = str(free_port())
+    variables["FLWR_LOCAL_CONTROL_API_PORT"] = str(free_port())
+    yield variables
+    terminate(marker)
+    left = members(marker)
+    shutil.rmtree(short, ignore_errors=True)
+    assert left == set()
+
+
+@pytest.mark.flower
+def test_flowers_own_command_ends_in_the_same_bits(
+    tmp_path: Path,
+    tiny_overrides: Sequence[str],
+    expected: dict[str, str],
+    flwr_home: dict[str, str],
+    project: Path,
+) -> None:
+    folder = tmp_path / "run"
+    changes = [*LENGTH, "runtime=simulation", f"run.dir={folder}"]
+    config = tmp_path / "run.toml"
+    overrides = " ".join(with_changes(tiny_overrides, *changes))
+    config.write_text(f"overrides = {json.dumps(overrides)}\n")
+    command = [str(Path(sysconfig.get_path("scripts"), "flwr")), "run", "."]
+    # Both of the federation's nodes at once, also on a machine with two cores.
+    federation = "client-resources-num-cpus=1 init-args-num-cpus=2"
+    options = ["--run-config", str(config), "--federation-config", federation]
+    told = subprocess.run(
+        [*command, *options],
+        cwd=project,
+        env=flwr_home,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert told.returncode == 0, told.stdout + told.stderr
+    wait_until(lambda: state_of(folder) in ("done", "failed"))
+    assert state_of(folder) == "done", (folder / "progress.json").read_text()
+    assert summary(folder)["digest"] == expected
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A clean copy of this project's files, as a fresh clone would have them."""
+    kept = shutil.ignore_patterns(".*", "__pycache__", "runs", "multirun", "*.egg-info")
+    copy = tmp_path / "project"
+    shutil.copytree(ROOT, copy, ignore=kept)
+    shutil.copy(ROOT / ".gitignore", copy)
+    import re
+    t = (copy / "pyproject.toml").read_text()
+    t = re.sub(r'fab-exclude = \[.*?\n\]', 'fab-include = ["pyproject.toml"]', t, flags=re.S)
+    (copy / "pyproject.toml").write_text(t)
+    return copy
+
+
+def test_the_bundle_of_a_fresh_clone_is_the_manifest_alone(project: Path) -> None:
+    from flwr.cli.build import build_fab_from_disk
+
+    names = zipfile.ZipFile(io.BytesIO(build_fab_from_disk(project))).namelist()
+    assert [name for name in names if name.endswith((".py", ".yaml"))] == []
+    assert "pyproject.toml" in names
+
+
+# --- Larger fleets and failures -------------------------------------------------------------------
+
+
+@pytest.mark.flower
+@pytest.mark.slow
+def test_sixteen_robots_share_the_clients_that_a_machine_can_run(
+    tmp_path: Path, train: Train, sessions: list[Session], capsys: pytest.CaptureFixture[str]
+) -> None:
+    size = ["env.robots=16", "env.power.levels=16", "train.max_ticks=20", "federation.every=10"]
+    assert train("local", *size, "runtime=local") == 0
+    status = train("flower", *size, "runtime=simulation")
+    assert status == 0, capsys.readouterr().err
+    assert summary(tmp_path / "flower")["digest"] == summary(tmp_path / "local")["digest"]
+
+
+BROKEN_CLIENT = """
+from flwr.clientapp import ClientApp
+app = ClientApp()
+@app.train()
+def train(message, context):
+    raise ZeroDivisionError("the robots are out of order")
+"""
+BROKEN_SERVER = """
+from flwr.serverapp import ServerApp
+app = ServerApp()
+@app.main()
+def main(grid, context):
+    raise ZeroDivisionError("the world is out of order")
+"""
+
+
+@pytest.mark.flower
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["client", "server"])
+def test_an_app_that_raises_fails_the_run_with_its_reason(
+    tmp_path: Path,
+    train: Train,
+    sessions: list[Session],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    side: str,
+) -> None:
+    code = tmp_path / "code"
+    code.mkdir()
+    (code / "broken_app.py").write_text(BROKEN_CLIENT if side == "client" else BROKEN_SERVER)
+    monkeypatch.setenv("PYTHONPATH", str(code))
+    parts = Components(**{side: "broken_app:app"})
+    monkeypatch.setattr(superlink, "Components", lambda: parts)
+    assert train("run", "runtime=simulation") == 1
+    said = capsys.readouterr().err
+    assert said.startswith("risfleet: ")
+    assert "out of order" in said
+    if side == "client":
+        assert "robot" in said
+        assert state_of(tmp_path / "run") == "failed"
+
+
+@pytest.mark.flower
+@pytest.mark.slow
+def test_a_link_port_that_is_taken_after_the_check_fails_the_run_by_its_number(
+    train: Train,
+    sessions: list[Session],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("experiments.train.check_port", lambda config: None)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert train("run", "runtime=simulation", f"federation.link.port={port}") == 1
+    said = capsys.readouterr().err
+    assert f"127.0.0.1:{port}" in said
+    assert "Traceback" not in said
