@@ -19,7 +19,6 @@ from server_app.access_point import AccessPoint
 from server_app.coordinator import Coordinator, Progress
 from server_app.strategies import build_aggregator
 
-ENDLESS = 10**9
 OVERRIDES = (
     "runtime=local",
     "agent.epsilon.start=0.05",  # as late in a run: nearly every action needs a forward pass

@@ -56,10 +56,10 @@ class RobotGroup:
         updates = step.updates
         flags = updates["flags"]
         learning = (flags & Flag.OUTCOME) != 0
+        observation = self._slice.observe(updates["cell"], updates["channel_db"])
         if learning.any():
-            self._learn(updates, learning, (flags & Flag.ARRIVED) != 0)
-        self._cell = updates["cell"]
-        self._observation = self._slice.observe(self._cell, updates["channel_db"])
+            self._learn(updates, observation, learning, (flags & Flag.ARRIVED) != 0)
+        self._cell, self._observation = updates["cell"], observation
         if step.want is not Want.ACTIONS:
             return None
         epsilon = epsilon_at(self._epsilon, step.tick)
@@ -67,11 +67,19 @@ class RobotGroup:
         return self._action
 
     def _learn(
-        self, updates: np.ndarray, learning: NDArray[np.bool_], arrived: NDArray[np.bool_]
+        self,
+        updates: np.ndarray,
+        observation: NDArray[np.float32],
+        learning: NDArray[np.bool_],
+        arrived: NDArray[np.bool_],
     ) -> None:
+        """Learns from an outcome; it led to what is observed now, unless an episode has ended."""
         reached = updates["outcome_cell"]
         reward = self._slice.reward(updates["rate"], self._cell, reached, arrived)
-        following = self._slice.observe(reached, updates["outcome_channel_db"])
+        following = observation
+        channel_db = updates["outcome_channel_db"]
+        if (reached != updates["cell"]).any() or (channel_db != updates["channel_db"]).any():
+            following = self._slice.observe(reached, channel_db)
         self.agents.learn(self._observation, self._action, reward, following, arrived, learning)
 
     def upload(self) -> NDArray[np.float32]:

@@ -1,6 +1,5 @@
 """A server for each test, and nothing left of it afterwards."""
 
-
 import threading
 
 import pytest

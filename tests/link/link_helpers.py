@@ -1,6 +1,5 @@
 """Handlers, clients on threads and a coordinator in small, for the tests of the link."""
 
-
 import socket
 import threading
 
