@@ -14,6 +14,10 @@ from env.seeding import Stream, stream
 from env.slice import Slice
 from env.world import draw_destinations
 
+# As numbers: NumPy looks for attributes on an enum's member, which runs Python code whose errors
+# it drops, a KeyboardInterrupt among them.
+OUTCOME, ARRIVED, DRIVING = int(Flag.OUTCOME), int(Flag.ARRIVED), int(Flag.DRIVING)
+
 
 class RobotGroup:
     """n robots, each a DQN with its slice of the environment, stacked in one learner.
@@ -55,15 +59,15 @@ class RobotGroup:
         self.window = step.window
         updates = step.updates
         flags = updates["flags"]
-        learning = (flags & Flag.OUTCOME) != 0
+        learning = (flags & OUTCOME) != 0
         observation = self._slice.observe(updates["cell"], updates["channel_db"])
         if learning.any():
-            self._learn(updates, observation, learning, (flags & Flag.ARRIVED) != 0)
+            self._learn(updates, observation, learning, (flags & ARRIVED) != 0)
         self._cell, self._observation = updates["cell"], observation
         if step.want is not Want.ACTIONS:
             return None
         epsilon = epsilon_at(self._epsilon, step.tick)
-        self._action = self.agents.act(self._observation, epsilon, (flags & Flag.DRIVING) != 0)
+        self._action = self.agents.act(self._observation, epsilon, (flags & DRIVING) != 0)
         return self._action
 
     def _learn(

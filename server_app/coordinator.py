@@ -22,6 +22,9 @@ from env.world import Outcome, World
 from server_app.access_point import AccessPoint
 from server_app.aggregation import Aggregator
 
+# As NumPy's own numbers: it would look for attributes on an enum's member at every use.
+OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARRIVED, Flag.DRIVING))
+
 
 @dataclass
 class Progress:
@@ -181,8 +184,8 @@ class Coordinator:
         world = self._world
         updates = np.zeros(world.robots, dtype=UPDATE)
         if outcome is not None:
-            updates["flags"] = outcome.drove[0] * np.uint16(Flag.OUTCOME)
-            updates["flags"] |= outcome.arrived[0] * np.uint16(Flag.ARRIVED)
+            updates["flags"] = outcome.drove[0] * OUTCOME
+            updates["flags"] |= outcome.arrived[0] * ARRIVED
             updates["outcome_cell"] = world.cell[0]
             updates["outcome_channel_db"] = world.radio_map.direct_db[world.cell[0]]
             updates["rate"] = outcome.rate[0]
@@ -191,6 +194,6 @@ class Coordinator:
     def _observe_into(self, updates: np.ndarray) -> None:
         """Adds what each robot observes now, after a reset where an episode has just ended."""
         world = self._world
-        updates["flags"] |= world.driving[0] * np.uint16(Flag.DRIVING)
+        updates["flags"] |= world.driving[0] * DRIVING
         updates["cell"] = world.cell[0]
         updates["channel_db"] = world.radio_map.direct_db[world.cell[0]]
