@@ -1,7 +1,7 @@
-"""Downlink NOMA: decoding order, decodability, rates. Pure functions with a leading batch.
+"""Downlink NOMA and OMA: decoding order, decodability, rates. Pure functions, leading batch.
 
-Everything here is in *rank order*: along the last axis, strongest channel first. Ranks past the
-robots that are served have power 0, add nothing, and get rate 0.
+NOMA is in *rank order*: along the last axis, strongest channel first. Ranks past the robots that
+are served have power 0, add nothing, and get rate 0. OMA knows no ranks: any order will do.
 """
 
 from __future__ import annotations
@@ -82,3 +82,24 @@ def downlink_rates(
         left = np.where(residual, power_w, 0.0)
         interference = interference + left[..., ::-1].cumsum(axis=-1)[..., ::-1] - left
     return np.log2(1.0 + gain * power_w / (gain * interference + noise_w))
+
+
+def oma_rates(
+    gain: NDArray[np.float64],
+    power_w: NDArray[np.float64],
+    noise_w: float,
+    parts: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """OMA rates, Baseline 2: R_k = (1/n) log2(1 + |h_k|^2 p_k / (sigma^2 / n)).
+
+    Args:
+        gain: |h_k|^2, shape (..., K).
+        power_w: p_k in W, 0 where not served, shape (..., K).
+        noise_w: sigma^2 of the whole band in W.
+        parts: n, into how many the band is divided, at least 1, broadcast against ``gain``; the
+            paper's is K.
+
+    Returns:
+        R_k in bit/s/Hz of the whole band, shape (..., K).
+    """
+    return np.asarray(np.log2(1.0 + gain * power_w / (noise_w / parts)) / parts)

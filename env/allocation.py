@@ -24,7 +24,8 @@ class Allocation:
         rate: R_k in bit/s/Hz, 0 where not served.
         power_w: p_k in W, 0 where not served.
         order: the robot at each rank, strongest channel first.
-        sic_failed: whether Eq. (2) fails for a robot's signal with the powers sent.
+        sic_failed: whether Eq. (2) fails for a robot's signal with the powers sent; as the two
+            below, never under OMA, where nobody decodes the signals of others.
         projected: whether the AP changed any pick, shape (...).
         margin_dropped: whether no feasible powers kept rho_min, shape (...).
     """
@@ -41,7 +42,7 @@ class Downlink:
     """The AP's rule for powers and rates: access scheme and resolution of picks.
 
     Args:
-        config: the environment; ``power``, ``noise`` and ``access`` are read.
+        config: the environment; ``power``, ``noise``, ``access`` and ``oma`` are read.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -50,8 +51,10 @@ class Downlink:
         self.max_power_w = 10.0 ** ((power.max_dbm - 30.0) / 10.0)
         self.noise_w = 10.0 ** ((noise.density_dbm_per_hz - 30.0) / 10.0) * noise.bandwidth_hz
         self.margin_w = power.sic_margin * self.noise_w
+        self._orthogonal = config.access == "oma"
+        self._reallocates = config.oma.share == "reallocate"
         self._resolve = power.resolve
-        projects = power.resolve == "project"
+        projects = power.resolve == "project" and not self._orthogonal
         self._projection = Projection(config.robots, power.levels) if projects else None
         self._power_w = fractions(np.arange(power.levels + 1)) * self.max_power_w
 
@@ -62,12 +65,14 @@ class Downlink:
 
         Args:
             gain: |h_k|^2, shape (B, K).
-            picks: power levels 1..N_P, shape (B, K).
+            picks: power levels 1..N_P, shape (B, K); of no effect under OMA.
             served: whether a robot is served, shape (B, K).
 
         Returns:
             The allocation, arrays of shape (B, K).
         """
+        if self._orthogonal:
+            return self._allocate_parts(gain, served)
         order = access.decoding_order(gain, served)
         place = order + np.arange(0, gain.size, gain.shape[-1])[:, None]
         ranked_gain, ranked_served = gain.take(place), served.take(place)
@@ -83,6 +88,23 @@ class Downlink:
             sic_failed=_unranked(sent.failed, place),
             projected=sent.projected,
             margin_dropped=sent.margin_dropped,
+        )
+
+    def _allocate_parts(self, gain: NDArray[np.float64], served: NDArray[np.bool_]) -> Allocation:
+        """Baseline 2: equal parts of band and power, p_k = P_max / n, for each robot served."""
+        rows, robots = gain.shape
+        parts = np.full((rows, 1), robots)
+        if self._reallocates:
+            parts = np.maximum(served.sum(axis=-1, keepdims=True), 1)
+        power_w = np.where(served, self.max_power_w / parts, 0.0)
+        never = np.zeros(rows, dtype=bool)
+        return Allocation(
+            rate=access.oma_rates(gain, power_w, self.noise_w, parts),
+            power_w=power_w,
+            order=access.decoding_order(gain, served),
+            sic_failed=np.zeros_like(served),
+            projected=never,
+            margin_dropped=never,
         )
 
     def _send(

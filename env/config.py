@@ -46,6 +46,8 @@ class RisConfig:
     subsurfaces: int = 1  # N
     bits: int = 2  # b; N_R = 2^b phases
     response: str = "coherent"
+    spacing: float = 0.5  # of neighbouring elements, in wavelengths
+    axis: str = "y"  # the panel's horizontal direction
 
 
 @dataclass(frozen=True)
@@ -63,14 +65,21 @@ class MotionConfig:
 class TasksConfig:
     """Where robots start and where they are going.
 
-    The first K of ``destinations_m`` are used; where there are fewer, further ones are drawn, at
-    least ``destination_spacing_m`` apart from all others.
+    ``destination=fixed``: the first K of ``destinations_m``; where there are fewer, further ones
+    are drawn, at least ``destination_spacing_m`` apart from all others. ``random``: all K are
+    drawn so, once a run. ``common``: all robots go to the first one.
+
+    ``start=random``: anywhere at least ``start_distance_m`` from the robot's destination, anew in
+    each episode. ``fixed``: at the first K of ``starts_m``.
     """
 
+    destination: str = "fixed"
     destinations_m: list[Any] = field(
         default_factory=lambda: [[27.25, 12.25], [4.25, 10.25], [22.25, 2.25], [26.25, 24.25]]
     )
     destination_spacing_m: float = 5.0
+    start: str = "random"
+    starts_m: list[Any] = field(default_factory=list)
     start_distance_m: float = 10.0
 
 
@@ -80,6 +89,8 @@ class ChannelConfig:
 
     frequency_ghz: float = 2.4
     rician_k_db: float = 7.0
+    fading: str = "static"
+    los_phase: str = "zero"
 
 
 @dataclass(frozen=True)
@@ -98,6 +109,22 @@ class PowerConfig:
     max_dbm: float = 20.0  # P_max
     resolve: str = "project"
     sic_margin: float = 10.0  # rho_min in multiples of sigma^2
+
+
+@dataclass(frozen=True)
+class OmaConfig:
+    """Orthogonal access, Baseline 2: equal parts of band and power."""
+
+    share: str = "fixed"
+
+
+@dataclass(frozen=True)
+class QoeConfig:
+    """Quality of experience, Baseline 3: eta_k = C_1 lg(R_k) + C_2."""
+
+    scale: float = 1.0  # C_1
+    offset: float = 0.0  # C_2
+    floor: float = 0.01  # least R_k in bit/s/Hz
 
 
 @dataclass(frozen=True)
@@ -136,6 +163,8 @@ class EnvConfig:
     channel: ChannelConfig = field(default_factory=ChannelConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     power: PowerConfig = field(default_factory=PowerConfig)
+    oma: OmaConfig = field(default_factory=OmaConfig)
+    qoe: QoeConfig = field(default_factory=QoeConfig)
     state: StateConfig = field(default_factory=StateConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
 
@@ -145,11 +174,46 @@ MAX_POWER_LEVELS = 48  # sums of the levels stay exact in float64
 MAX_PHASE_ACTIONS = 4096
 MAX_CELLS = 250_000
 CHOICES: dict[str, tuple[str, ...]] = {
-    "env.access": ("noma",),
-    "env.metric": ("qos",),
-    "env.ris.response": ("coherent",),
+    "env.access": ("noma", "oma"),
+    "env.metric": ("qos", "qoe"),
+    "env.oma.share": ("fixed", "reallocate"),
+    "env.tasks.destination": ("fixed", "random", "common"),
+    "env.tasks.start": ("random", "fixed"),
+    "env.ris.response": ("coherent", "far", "near", "rayleigh"),
+    "env.ris.axis": ("x", "y"),
+    "env.channel.fading": ("static", "none", "slot"),
+    "env.channel.los_phase": ("zero", "distance"),
     "env.power.resolve": ("project", "residual", "zero"),
     "env.state.destination": ("offset", "none"),
+}
+POSITIVE = (
+    "env.room.cell_m",
+    "env.motion.speed_mps",
+    "env.motion.idle_power_w",
+    "env.channel.frequency_ghz",
+    "env.noise.bandwidth_hz",
+    "env.qoe.scale",
+    "env.qoe.floor",
+)
+NOT_NEGATIVE = (
+    "env.map_seed",
+    "env.motion.energy_per_m_j",
+    "env.motion.antenna_height_m",
+    "env.tasks.destination_spacing_m",
+    "env.tasks.start_distance_m",
+    "env.power.sic_margin",
+)
+BETWEEN: dict[str, tuple[float, float]] = {
+    "env.robots": (1, MAX_ROBOTS),
+    "env.ris.side": (0, 256),
+    "env.ris.bits": (1, 12),
+    "env.ris.subsurfaces": (1, 65536),
+    "env.ris.spacing": (0.01, 100),
+    "env.power.levels": (1, MAX_POWER_LEVELS),
+    "env.power.max_dbm": (-60, 60),
+    "env.motion.max_slots": (1, 1_000_000),
+    "env.room.width_m": (1, 1000),
+    "env.room.depth_m": (1, 1000),
 }
 
 
@@ -188,40 +252,14 @@ def _finite_problems(values: Any, above: str = "env") -> list[Problem]:
 
 
 def _range_problems(config: EnvConfig) -> list[Problem]:
-    positive = (
-        "env.room.cell_m",
-        "env.motion.speed_mps",
-        "env.motion.idle_power_w",
-        "env.channel.frequency_ghz",
-        "env.noise.bandwidth_hz",
-    )
-    not_negative = (
-        "env.map_seed",
-        "env.motion.energy_per_m_j",
-        "env.motion.antenna_height_m",
-        "env.tasks.destination_spacing_m",
-        "env.tasks.start_distance_m",
-        "env.power.sic_margin",
-    )
-    between: dict[str, tuple[float, float]] = {
-        "env.robots": (1, MAX_ROBOTS),
-        "env.ris.side": (0, 256),
-        "env.ris.bits": (1, 12),
-        "env.ris.subsurfaces": (1, 65536),
-        "env.power.levels": (1, MAX_POWER_LEVELS),
-        "env.power.max_dbm": (-60, 60),
-        "env.motion.max_slots": (1, 1_000_000),
-        "env.room.width_m": (1, 1000),
-        "env.room.depth_m": (1, 1000),
-    }
     found: list[Problem] = []
-    for key in positive:
+    for key in POSITIVE:
         if not _value(config, key) > 0:
             found.append((key, _value(config, key), "a number above 0"))
-    for key in not_negative:
+    for key in NOT_NEGATIVE:
         if not _value(config, key) >= 0:
             found.append((key, _value(config, key), "a number of at least 0"))
-    for key, (low, high) in between.items():
+    for key, (low, high) in BETWEEN.items():
         if not low <= _value(config, key) <= high:
             found.append((key, _value(config, key), f"a number from {low:g} to {high:g}"))
     return found
@@ -245,7 +283,8 @@ def _geometry_problems(config: EnvConfig) -> list[Problem]:
     for segment in config.walls.segments:
         if not _numbers(segment, 4) or segment[:2] == segment[2:]:
             found.append(("env.walls.segments", segment, "segments [x0, y0, x1, y1] in m"))
-    return found or _destination_problems(config) or _start_problems(config)
+    starts = _fixed_start_problems if config.tasks.start == "fixed" else _start_problems
+    return found or _destination_problems(config) or starts(config)
 
 
 def _destination_problems(config: EnvConfig) -> list[Problem]:
@@ -258,7 +297,7 @@ def _destination_problems(config: EnvConfig) -> list[Problem]:
             allowed = f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
             found.append((key, destination, allowed))
             continue
-        cell = tuple(math.floor(x / room.cell_m) for x in destination)
+        cell = _cell(room, destination)
         if cell in seen:
             found.append((key, destination, "destinations in cells of their own"))
         seen.add(cell)
@@ -268,8 +307,8 @@ def _destination_problems(config: EnvConfig) -> list[Problem]:
 def _start_problems(config: EnvConfig) -> list[Problem]:
     """Whether some cell is far enough from each destination; a drawn one may lie in the middle."""
     room, tasks = config.room, config.tasks
-    destinations = tasks.destinations_m[: config.robots]
-    if config.robots > len(destinations):
+    destinations, number = _given_destinations(config)
+    if number > len(destinations):
         destinations = [*destinations, [room.width_m / 2, room.depth_m / 2]]
     half = room.cell_m / 2
     reach = math.inf
@@ -282,6 +321,38 @@ def _start_problems(config: EnvConfig) -> list[Problem]:
         return []
     allowed = f"at most {reach:.4g}, since no cell is farther from one of the destinations"
     return [("env.tasks.start_distance_m", tasks.start_distance_m, allowed)]
+
+
+def _given_destinations(config: EnvConfig) -> tuple[list[Any], int]:
+    """The destinations that are given, and how many there are in all."""
+    tasks = config.tasks
+    number = 1 if tasks.destination == "common" else config.robots
+    return ([] if tasks.destination == "random" else tasks.destinations_m[:number]), number
+
+
+def _fixed_start_problems(config: EnvConfig) -> list[Problem]:
+    key, room, starts = "env.tasks.starts_m", config.room, config.tasks.starts_m
+    allowed = f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
+    found: list[Problem] = [
+        (key, at, allowed) for at in starts if not _numbers(at, 2) or not _inside(room, at)
+    ]
+    if found:
+        return found
+    if len(starts) < config.robots:
+        say = f"at least env.robots={config.robots} places with env.tasks.start=fixed"
+        return [(key, starts, say)]
+    goals, _ = _given_destinations(config)
+    if config.tasks.destination == "common":
+        goals = goals * config.robots
+    return [
+        (key, start, "places off the cell of the robot's destination")
+        for start, goal in zip(starts, goals, strict=False)
+        if _cell(room, start) == _cell(room, goal)
+    ]
+
+
+def _cell(room: RoomConfig, position: Sequence[float]) -> tuple[int, ...]:
+    return tuple(math.floor(x / room.cell_m) for x in position)
 
 
 def _numbers(value: Any, count: int) -> bool:
@@ -311,7 +382,8 @@ def _combination_problems(config: EnvConfig) -> list[Problem]:
             f" that is {(MAX_PHASE_ACTIONS.bit_length() - 1) // ris.bits} sub-surfaces or fewer"
         )
         found.append(("env.ris.subsurfaces", ris.subsurfaces, allowed))
-    if power.resolve == "project" and power.levels < config.robots:
+    projects = config.access == "noma" and power.resolve == "project"
+    if projects and power.levels < config.robots:
         allowed = (
             f"at least env.robots={config.robots} with env.power.resolve=project, since NOMA gives"
             " each robot a level of its own (residual and zero allow fewer)"

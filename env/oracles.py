@@ -1,8 +1,9 @@
 """What is best in one slot: shortest ways, canonical powers, the best phase, the best powers.
 
 Pure functions of the state of B worlds of K robots; nothing here steps a world. Powers and rates
-come from the world's own ``Downlink``, so an oracle is bound by what binds the agents. Searches
-are exhaustive, A being the number of phase settings and ties going to the lowest action.
+come from the world's own ``Downlink``, so an oracle is bound by what binds the agents. Best is the
+largest sum of the metric over the robots that drive: of R_k, or of eta_k with ``metric=qoe``.
+Searches are exhaustive, A being the number of phase settings and ties going to the lowest action.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from env import access
+from env import access, reward
 from env.floor import STEPS, Floor
 from env.world import World
 
@@ -46,7 +47,7 @@ def shortest_directions(
 
 def phase_gains(world: World) -> NDArray[np.float64]:
     """|h_k|^2 of every robot under every phase setting, shape (B, A, K)."""
-    channel = world.radio_map.channel(world.cell[:, None], np.arange(world.phase_actions)[None])
+    channel = world.channel(np.arange(world.phase_actions)[None])
     return np.asarray(channel.real**2 + channel.imag**2)
 
 
@@ -69,7 +70,7 @@ def canonical_levels(
 
 
 def best_phase(world: World, level: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The phase setting with the largest sum of rates, given the robots' power picks.
+    """The phase setting with the largest sum of the metric, given the robots' power picks.
 
     Args:
         world: B worlds; not changed.
@@ -80,14 +81,15 @@ def best_phase(world: World, level: NDArray[np.int64]) -> NDArray[np.int64]:
     """
     gain = phase_gains(world)
     picks = level if level.ndim == gain.ndim else level[:, None]
-    return np.asarray(_sum_rates(world, gain, picks, world.driving[:, None]).argmax(axis=-1))
+    return np.asarray(_sum_metric(world, gain, picks, world.driving[:, None]).argmax(axis=-1))
 
 
 def best_phase_and_powers(world: World) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The phase setting and power levels with the largest sum of rates.
+    """The phase setting and power levels with the largest sum of the metric.
 
     With ``power.resolve=project`` the search goes over the combinations that the AP may send;
     otherwise picks stand as they are, so it goes over all N_P^n picks of the n driving robots.
+    Under OMA levels have no effect: the phase alone is searched, and all levels are 1.
 
     Args:
         world: B worlds; not changed.
@@ -120,13 +122,15 @@ def _search(
     """
     served = np.broadcast_to(driving[:, None], gain.shape)
     picks = np.moveaxis(ranked[:, _ranks(gain, served)], 0, 2)  # (b, A, C, K)
-    rates = _sum_rates(world, gain[:, :, None], picks, served[:, :, None])
-    phase, choice = np.divmod(rates.reshape(len(gain), -1).argmax(axis=-1), len(ranked))
+    sums = _sum_metric(world, gain[:, :, None], picks, served[:, :, None])
+    phase, choice = np.divmod(sums.reshape(len(gain), -1).argmax(axis=-1), len(ranked))
     return phase, np.where(driving, picks[np.arange(len(gain)), phase, choice], 1)
 
 
 def _ranked_levels(world: World, driving: int) -> NDArray[np.int64]:
     """Levels to try by rank, strongest first, shape (C, K); 1 at ranks past ``driving``."""
+    if world.config.access == "oma":
+        return np.ones((1, world.robots), dtype=np.int64)
     levels = world.config.power.levels
     projects = world.config.power.resolve == "project"
     number = comb(levels, driving) if projects else levels**driving
@@ -148,11 +152,12 @@ def _ranks(gain: NDArray[np.float64], driving: NDArray[np.bool_]) -> NDArray[np.
     return np.argsort(access.decoding_order(gain, driving), axis=-1)
 
 
-def _sum_rates(
+def _sum_metric(
     world: World, gain: NDArray[np.float64], picks: NDArray[np.int64], served: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """sum_k R_k of arrays that broadcast to (..., K), as the AP would allocate them."""
+    """sum_k R_k or eta_k of arrays that broadcast to (..., K), as the AP would allocate them."""
     arrays = np.broadcast_arrays(gain, picks, served)
     flat = (array.reshape(-1, array.shape[-1]) for array in arrays)
-    rate = world.downlink.allocate(*flat).rate
-    return np.asarray(rate.sum(axis=-1).reshape(arrays[0].shape[:-1]))
+    found = reward.metric(world.downlink.allocate(*flat).rate, world.config)
+    driving = np.where(arrays[2], found.reshape(arrays[0].shape), 0.0)
+    return np.asarray(driving.sum(axis=-1))

@@ -34,7 +34,8 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     Each slot (1 s), each robot moves one cell of 0.5 m and picks the power of its downlink; the
     access point sets the phases of the reconfigurable intelligent surface. Rates are those of NOMA
-    at the cells that robots leave. All of it is ``env.world.World`` with one world.
+    (of OMA with ``access=oma``) at the cells that robots leave. All of it is ``env.world.World``
+    with one world.
 
     ## Agents
 
@@ -48,7 +49,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | ap    | ``Discrete(N_R^N)`` | its N base-N_R digits are phases, (digit + 1/2) 2 pi / N_R    |
 
     A move out of the room stays put. Levels are picks: with ``power.resolve=project`` the AP sends
-    the nearest combination that every robot can decode.
+    the nearest combination that every robot can decode. With OMA they have no effect.
 
     ## Observation Space
 
@@ -73,13 +74,16 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     Not scaled. A robot: phi R + psi (distance gone towards the destination, in m) - 1, and + 100
     where it arrives, with phi = 0.05 and psi = 3. The access point: 0.1 times the sum of rates.
+    With ``metric=qoe`` the quality lg(R) of those that drive stands for R in both.
 
     ## Starting State
 
     Each robot in a random cell at least 10 m from its destination. Destinations are the first K of
     ``tasks.destinations_m``; further ones are drawn once, from the constructor's ``seed``.
     ``reset(seed=s)`` begins the stream of starts anew, the one of a training run with ``seed=s``,
-    and leaves the destinations. ``options={"starts_m": [[x, y], ...]}`` sets the starts.
+    and leaves the destinations. ``tasks.destination=random`` draws all of them, ``common`` sends
+    all robots to the first; ``tasks.start=fixed`` starts at ``tasks.starts_m``.
+    ``options={"starts_m": [[x, y], ...]}`` sets the starts.
 
     ## Episode End
 
@@ -198,13 +202,13 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
             if not self._way:
                 raise RuntimeError("step was called before reset")
             return {}, {}, {}, {}, {}
-        live, cell = self.agents, self.world.cell
+        live = self.agents
         picks = np.array([[self._action(name, actions) for name in self.robots]])
         phase = np.array([self._action(AP, actions)])
+        channel = self.world.channel(phase)[0]
         outcome = self.world.step(phase, *robot_actions.decode(picks, self.config.power.levels))
         self._way.append(self.world.cell[0])
         self._outcome = outcome
-        channel = self.world.radio_map.channel(cell, phase)[0]
         ended = dict(zip(self.robots, outcome.arrived[0].tolist(), strict=True))
         ended[AP] = bool(outcome.terminated[0])
         paid = dict(zip(self.robots, outcome.local_reward[0].tolist(), strict=True))

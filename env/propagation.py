@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
+
+SPEED_OF_LIGHT_MPS = 299_792_458.0
+MAX_AT_ONCE = 2**17
+"""Element-point pairs that ``array_factor`` holds at a time, about 4 MB."""
+
+_TINY_M = 1e-9  # keeps directions finite at the panel's centre itself
 
 
 def path_loss_db(
@@ -30,6 +38,16 @@ def amplitude(loss_db: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(10.0 ** (-loss_db / 20.0))
 
 
+def wavelength_m(frequency_ghz: float) -> float:
+    """The wavelength in m of a carrier in GHz."""
+    return SPEED_OF_LIGHT_MPS / (frequency_ghz * 1e9)
+
+
+def path_phase(distance_m: NDArray[np.float64], wavelength_m: float) -> NDArray[np.complex128]:
+    """e^{-jkd} of paths of a given length in m, same shape."""
+    return np.asarray(np.exp(-2j * np.pi * (distance_m / wavelength_m)))
+
+
 def small_scale_fading(
     los: NDArray[np.bool_], rician_k_db: float, generator: np.random.Generator
 ) -> NDArray[np.complex128]:
@@ -38,12 +56,12 @@ def small_scale_fading(
     The line-of-sight part has phase zero (``docs/assumptions.md``, C-PHASE).
 
     Args:
-        los: whether each link is in line of sight, shape (P,).
+        los: whether each link is in line of sight, any shape.
         rician_k_db: power of the line-of-sight part over the scattered part, in dB.
         generator: the source of the scattered part.
 
     Returns:
-        Complex factors, shape (P,).
+        Complex factors, same shape.
     """
     parts = generator.standard_normal((2, *los.shape)) / np.sqrt(2.0)
     scattered = parts[0] + 1j * parts[1]
@@ -68,6 +86,124 @@ def coherent_response(
     """
     each = (elements // subsurfaces) * incoming * outgoing
     return np.repeat(each[:, None], subsurfaces, axis=1).astype(np.complex128)
+
+
+def rayleigh_response(
+    incoming: float,
+    outgoing: NDArray[np.float64],
+    elements: int,
+    subsurfaces: int,
+    generator: np.random.Generator,
+) -> NDArray[np.complex128]:
+    """c_n: elements that fade independently, h_m and g_m circular Gaussian.
+
+    Given all g_m, the sum of h_m g_m over a sub-surface is Gaussian with variance
+    |h|^2 sum |g_m|^2, and independent of every other sub-surface and point. So g is drawn element
+    by element, and then c_n(q) at once: the same law, without h_m at every point.
+
+    Args:
+        incoming: root mean square |g| from the AP to an element.
+        outgoing: root mean square |h| from an element to each point, shape (P,).
+        elements: M.
+        subsurfaces: N, a divisor of M.
+        generator: the source of g and h.
+
+    Returns:
+        c_n(q), of mean power (M / N) |g|^2 |h|^2, shape (P, N).
+    """
+    g = incoming * _circular_gaussian((subsurfaces, elements // subsurfaces), generator)
+    deviation = np.sqrt((g.real**2 + g.imag**2).sum(axis=-1))
+    h = outgoing[:, None] * _circular_gaussian((len(outgoing), subsurfaces), generator)
+    return np.asarray(h * deviation)
+
+
+def _circular_gaussian(
+    shape: tuple[int, ...], generator: np.random.Generator
+) -> NDArray[np.complex128]:
+    parts = generator.standard_normal((2, *shape)) / np.sqrt(2.0)
+    return np.asarray(parts[0] + 1j * parts[1])
+
+
+def element_offsets_m(side: int, spacing_m: float, axis: str) -> NDArray[np.float64]:
+    """Where the elements of a vertical panel are, seen from its centre.
+
+    Args:
+        side: M_R, elements along each edge.
+        spacing_m: distance of neighbours.
+        axis: the panel's horizontal direction, ``x`` or ``y``.
+
+    Returns:
+        Offsets in m, row by row from the bottom up, shape (M_R^2, 3).
+    """
+    along = (np.arange(side) - (side - 1) / 2.0) * spacing_m
+    offsets = np.zeros((side, side, 3))
+    offsets[..., "xy".index(axis)] = along
+    offsets[..., 2] = along[:, None]
+    return offsets.reshape(-1, 3)
+
+
+Excess = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+
+def far_excess_m(to: NDArray[np.float64], offsets_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How much longer a point's path is to each element than to the centre: plane waves.
+
+    Args:
+        to: from the panel's centre to each point in m, shape (P, 3).
+        offsets_m: from the centre to each element, shape (M, 3).
+
+    Returns:
+        Differences in m, shape (P, M).
+    """
+    distance = np.linalg.norm(to, axis=-1, keepdims=True)
+    return np.asarray(-(to / np.maximum(distance, _TINY_M)) @ offsets_m.T)
+
+
+def near_excess_m(to: NDArray[np.float64], offsets_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As ``far_excess_m``, with the exact distance of each element.
+
+    |to - offset| - |to|, as a quotient in which nothing cancels far away.
+    """
+    centre = np.linalg.norm(to, axis=-1, keepdims=True)
+    change = (offsets_m**2).sum(axis=-1) - 2.0 * (to @ offsets_m.T)
+    element = np.sqrt(np.maximum(centre**2 + change, 0.0))
+    return np.asarray(change / np.maximum(element + centre, _TINY_M))
+
+
+def array_factor(
+    ap_m: NDArray[np.float64],
+    points_m: NDArray[np.float64],
+    offsets_m: NDArray[np.float64],
+    subsurfaces: int,
+    wavelength_m: float,
+    excess: Excess,
+) -> NDArray[np.complex128]:
+    """The sum of e^{-jk (path over the element - path over the centre)} over each sub-surface.
+
+    Lengths are in m; c_n(q) is |g| |h| times this factor.
+
+    Args:
+        ap_m: from the panel's centre to the AP, shape (3,).
+        points_m: from the centre to each point, shape (P, 3).
+        offsets_m: from the centre to each element, shape (M, 3); sub-surface n has the n-th
+            M / N of them, as the paper's Kronecker product deals them out.
+        subsurfaces: N, a divisor of M.
+        wavelength_m: the carrier's wavelength.
+        excess: ``far_excess_m`` or ``near_excess_m``.
+
+    Returns:
+        Factors, M / N at most in size, shape (P, N).
+    """
+    elements = len(offsets_m)
+    feed = excess(ap_m[None], offsets_m)
+    factor = np.empty((len(points_m), subsurfaces), dtype=np.complex128)
+    at_once = max(1, MAX_AT_ONCE // max(1, elements))
+    for first in range(0, len(points_m), at_once):
+        some = points_m[first : first + at_once]
+        wave = path_phase(feed + excess(some, offsets_m), wavelength_m)
+        each = wave.reshape(len(some), subsurfaces, elements // subsurfaces)
+        factor[first : first + at_once] = each.sum(axis=-1)
+    return factor
 
 
 def phases(bits: int) -> NDArray[np.float64]:

@@ -18,10 +18,11 @@ class RadioMap:
     """Tables over cells; a step of the world looks up and never builds diag(Theta).
 
     Attributes:
-        direct: hbar, the AP-robot channel, complex, shape (cells,).
+        direct: hbar, the AP-robot channel, complex, shape (cells,); with ``channel.fading=slot``
+            its part that stays, by which the world multiplies each slot's fading.
         reflected: c_n, the AP-RIS-robot channel of each sub-surface at phase 0, (cells, N).
         settings: e^{j theta} of each action of the AP, shape (N_R^N, N).
-        direct_db: |hbar|^2 in dB as robots measure it, float32, shape (cells,).
+        direct_db: |direct|^2 in dB as robots measure it, float32, shape (cells,).
         direct_los: whether the AP is in line of sight, shape (cells,).
         ris_los: whether the RIS is in line of sight, shape (cells,).
     """
@@ -34,20 +35,24 @@ class RadioMap:
     ris_los: NDArray[np.bool_]
 
     def channel(
-        self, cell: NDArray[np.int64], phase_action: NDArray[np.int64]
+        self,
+        cell: NDArray[np.int64],
+        phase_action: NDArray[np.int64],
+        direct: NDArray[np.complex128] | None = None,
     ) -> NDArray[np.complex128]:
         """The combined channel h_k = h_k Theta g + hbar_k, which enters Eq. (1).
 
         Args:
             cell: where the robots are, shape (..., K).
             phase_action: the AP's action, shape (...).
+            direct: hbar_k where it is not the map's, shape (..., K).
 
         Returns:
             h_k, shape (..., K).
         """
         theta = self.settings[phase_action]
         reflected = (self.reflected[cell] * theta[..., None, :]).sum(axis=-1)
-        return np.asarray(self.direct[cell] + reflected)
+        return np.asarray((self.direct[cell] if direct is None else direct) + reflected)
 
 
 def build_radio_map(config: EnvConfig) -> RadioMap:
@@ -55,34 +60,84 @@ def build_radio_map(config: EnvConfig) -> RadioMap:
     floor = Floor.from_config(config)
     centres = floor.centres()
     at = np.column_stack([centres, np.full(len(centres), config.motion.antenna_height_m)])
-    ap, ris = np.asarray(config.ap.position_m), np.asarray(config.ris.position_m)
-    frequency = config.channel.frequency_ghz
-
-    direct_los = line_of_sight(ap, centres, floor.walls)
-    loss_db = propagation.path_loss_db(_distance(at, ap), frequency, direct_los)
-    fading = propagation.small_scale_fading(
-        direct_los, config.channel.rician_k_db, stream(config.map_seed, Stream.RADIO_MAP)
-    )
-    direct = propagation.amplitude(loss_db) * fading
-
-    ris_los = line_of_sight(ris, centres, floor.walls)
-    feed_los = line_of_sight(ris, ap[None, :2], floor.walls)
-    incoming = propagation.path_loss_db(_distance(ap[None], ris), frequency, feed_los)
-    outgoing = propagation.path_loss_db(_distance(at, ris), frequency, ris_los)
-    reflected = propagation.coherent_response(
-        float(propagation.amplitude(incoming)[0]),
-        propagation.amplitude(outgoing),
-        config.ris.side**2,
-        config.ris.subsurfaces,
-    )
+    direct_los = line_of_sight(np.asarray(config.ap.position_m), centres, floor.walls)
+    ris_los = line_of_sight(np.asarray(config.ris.position_m), centres, floor.walls)
+    direct = _direct(config, at, direct_los)
     return RadioMap(
         direct=direct,
-        reflected=reflected,
+        reflected=_reflected(config, at, ris_los),
         settings=propagation.phase_settings(config.ris.bits, config.ris.subsurfaces),
         direct_db=(20.0 * np.log10(np.abs(direct))).astype(np.float32),
         direct_los=direct_los,
         ris_los=ris_los,
     )
+
+
+def _direct(
+    config: EnvConfig, at: NDArray[np.float64], los: NDArray[np.bool_]
+) -> NDArray[np.complex128]:
+    """The direct channel at points in m, shape (P,), without the fading of a slot."""
+    channel = config.channel
+    distance_m = _distance(at, np.asarray(config.ap.position_m))
+    loss_db = propagation.path_loss_db(distance_m, channel.frequency_ghz, los)
+    direct = propagation.amplitude(loss_db).astype(np.complex128)
+    if channel.fading == "static":
+        generator = stream(config.map_seed, Stream.RADIO_MAP)
+        direct *= propagation.small_scale_fading(los, channel.rician_k_db, generator)
+    if channel.los_phase == "distance":
+        wavelength_m = propagation.wavelength_m(channel.frequency_ghz)
+        direct *= propagation.path_phase(distance_m, wavelength_m)
+    return direct
+
+
+def _reflected(
+    config: EnvConfig, at: NDArray[np.float64], los: NDArray[np.bool_]
+) -> NDArray[np.complex128]:
+    """c_n at points in m, shape (P, N)."""
+    ap, ris = np.asarray(config.ap.position_m), np.asarray(config.ris.position_m)
+    frequency = config.channel.frequency_ghz
+    feed_los = line_of_sight(ris, ap[None, :2], Floor.from_config(config).walls)
+    feed_m, distance_m = _distance(ap[None], ris), _distance(at, ris)
+    incoming = propagation.path_loss_db(feed_m, frequency, feed_los)
+    outgoing = propagation.path_loss_db(distance_m, frequency, los)
+    reflected = _response(
+        config,
+        float(propagation.amplitude(incoming)[0]),
+        propagation.amplitude(outgoing),
+        ap - ris,
+        at - ris,
+    )
+    if config.channel.los_phase == "distance":
+        wavelength_m = propagation.wavelength_m(frequency)
+        reflected *= propagation.path_phase(feed_m + distance_m, wavelength_m)[:, None]
+    return reflected
+
+
+def _response(
+    config: EnvConfig,
+    incoming: float,
+    outgoing: NDArray[np.float64],
+    ap_m: NDArray[np.float64],
+    points_m: NDArray[np.float64],
+) -> NDArray[np.complex128]:
+    """c_n at points seen from the panel's centre, the phase at the centre zero, shape (P, N)."""
+    ris = config.ris
+    elements = ris.side**2
+    if ris.response == "coherent":
+        return propagation.coherent_response(incoming, outgoing, elements, ris.subsurfaces)
+    if ris.response == "rayleigh":
+        generator = stream(config.map_seed, Stream.RADIO_MAP, 1)
+        return propagation.rayleigh_response(
+            incoming, outgoing, elements, ris.subsurfaces, generator
+        )
+    far = ris.response == "far"
+    excess = propagation.far_excess_m if far else propagation.near_excess_m
+    wavelength_m = propagation.wavelength_m(config.channel.frequency_ghz)
+    offsets_m = propagation.element_offsets_m(ris.side, ris.spacing * wavelength_m, ris.axis)
+    factor = propagation.array_factor(
+        ap_m, points_m, offsets_m, ris.subsurfaces, wavelength_m, excess
+    )
+    return incoming * outgoing[:, None] * factor
 
 
 def _distance(

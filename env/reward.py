@@ -1,11 +1,11 @@
-"""Rewards and energy: pure functions, Eqs. (4), (8) and (11) of the paper."""
+"""Rewards and energy: pure functions, Eqs. (4), (5a), (8) and (11), Baseline 3 of the paper."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from env.config import MotionConfig, RewardConfig
+from env.config import EnvConfig, MotionConfig, QoeConfig, RewardConfig
 
 
 def distance_m(
@@ -14,6 +14,25 @@ def distance_m(
     """d_{D,k}: the Euclidean distance to the destination in m, shape (...) of (..., 2)."""
     offset = destination_m - position_m
     return np.sqrt(offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1])
+
+
+def quality_of_experience(rate: NDArray[np.float64], qoe: QoeConfig) -> NDArray[np.float64]:
+    """Quality of experience, Baseline 3: eta_k = C_1 lg(R_k) + C_2.
+
+    Args:
+        rate: R_k in bit/s/Hz, any shape.
+        qoe: C_1, C_2 and the floor below which a rate counts as the floor.
+
+    Returns:
+        eta_k, same shape.
+    """
+    # The floor makes a new array: the logarithm's last bit is the same whatever the layout was.
+    return np.asarray(qoe.scale * np.log10(np.maximum(rate, qoe.floor)) + qoe.offset)
+
+
+def metric(rate: NDArray[np.float64], config: EnvConfig) -> NDArray[np.float64]:
+    """What rewards are made of: R_k itself, or eta_k with ``env.metric=qoe``; same shape."""
+    return quality_of_experience(rate, config.qoe) if config.metric == "qoe" else rate
 
 
 def local_reward(
@@ -26,7 +45,7 @@ def local_reward(
     """A robot's reward: phi R_k + psi (d^{t-1} - d^t) + R_time + R_goal, Eq. (11).
 
     Args:
-        rate: R_k in bit/s/Hz in the slot, any shape.
+        rate: R_k in bit/s/Hz in the slot, or eta_k, any shape.
         before_m: distance to the destination before the move, in m.
         after_m: distance after it, in m.
         arrived: whether this move reached the destination.
@@ -43,7 +62,7 @@ def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArr
     """The access point's reward: tau_1 sum_k R_k (plus an offset, 0 by default), Eq. (8).
 
     Args:
-        sum_rate: sum_k R_k in bit/s/Hz, any shape.
+        sum_rate: sum_k R_k in bit/s/Hz, or of eta_k, any shape.
         weights: tau_1 and the offset.
 
     Returns:
@@ -80,3 +99,26 @@ def energy_efficiency(
         Energy efficiency in bit/s/Hz/J, shape (...).
     """
     return np.asarray((rate_sum / slots / motion_energy_j(slots * slot_s, motion)).sum(axis=-1))
+
+
+def bits_per_joule(
+    rate_sum: NDArray[np.float64],
+    slots: NDArray[np.int64],
+    slot_s: float,
+    bandwidth_hz: float,
+    motion: MotionConfig,
+) -> NDArray[np.float64]:
+    """All bits over all energy of an episode: sum_k sum_t R_k^t B T_slot / sum_k E_k.
+
+    Args:
+        rate_sum: sum over t of R_k^t in bit/s/Hz, shape (..., K).
+        slots: slots that each robot drove, at least 1, shape (..., K).
+        slot_s: T_slot in s.
+        bandwidth_hz: B in Hz.
+        motion: E_1, E_2 and v.
+
+    Returns:
+        Energy efficiency in bit/J, shape (...).
+    """
+    bits = rate_sum.sum(axis=-1) * (bandwidth_hz * slot_s)
+    return np.asarray(bits / motion_energy_j(slots * slot_s, motion).sum(axis=-1))

@@ -28,7 +28,8 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     Robot 0 of the fleet is the agent. The other K - 1 robots drive shortest ways with the
     canonical powers (by gain, the strongest of n driving robots takes P_max / 2^n, ..., the
     weakest P_max / 2), and the access point takes the phase setting with the largest sum of rates
-    in each slot. A task for testing learners: a shortest path, with a little to gain from powers.
+    (of the quality with ``metric=qoe``) in each slot. A task for testing learners: a shortest path,
+    with a little to gain from powers.
 
     ## Action Space
 
@@ -58,11 +59,13 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     ## Rewards
 
     phi R + psi (distance gone towards the destination, in m) - 1, and + 100 on arrival, with
-    phi = 0.05 and psi = 3. R is the robot's rate in bit/s/Hz. Not scaled.
+    phi = 0.05 and psi = 3. R is the robot's rate in bit/s/Hz, or the quality lg(R) with
+    ``metric=qoe``. Not scaled.
 
     ## Starting State
 
-    Every robot in a random cell at least 10 m from its destination; destinations are fixed.
+    Every robot in a random cell at least 10 m from its destination, or in that of
+    ``tasks.starts_m`` with ``tasks.start=fixed``; destinations stay.
     ``options={"starts_m": [[x, y], ...]}`` sets the starts of all robots, in m.
 
     ## Episode End

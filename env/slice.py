@@ -25,7 +25,7 @@ class Slice:
 
     def __init__(self, config: EnvConfig, destinations: NDArray[np.int64]) -> None:
         self._observer = Observer(config)
-        self._weights = config.reward
+        self._config = config
         self._centres = Floor.from_config(config).centres()
         self._destinations = destinations
         self.observation_size = self._observer.local_size
@@ -57,4 +57,5 @@ class Slice:
         goal = self._centres[self._destinations]
         before = reward.distance_m(self._centres[left], goal)
         after = reward.distance_m(self._centres[reached], goal)
-        return reward.local_reward(rate, before, after, arrived, self._weights)
+        counted = reward.metric(rate, self._config)
+        return reward.local_reward(counted, before, after, arrived, self._config.reward)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from env.reward import energy_efficiency
+from env.reward import bits_per_joule, energy_efficiency
 from env.world import Outcome, World
 
 
@@ -21,6 +21,7 @@ class EpisodeMeasures:
             shape (B, K).
         reward: total of the robots' rewards over robots and slots, unscaled, shape (B,).
         ee: energy efficiency in bit/s/Hz/J, the objective (5a), shape (B,).
+        ee_bits_per_joule: all bits over all energy, in bit/J, shape (B,).
         sum_rate: mean over slots of sum_k R_k in bit/s/Hz, shape (B,).
         min_rate: least over robots of a robot's mean rate while driving, shape (B,).
         sic_violations: share of robot-slots whose signal broke Eq. (2) as sent, shape (B,).
@@ -32,6 +33,7 @@ class EpisodeMeasures:
     path_ratio: NDArray[np.float64]
     reward: NDArray[np.float64]
     ee: NDArray[np.float64]
+    ee_bits_per_joule: NDArray[np.float64]
     sum_rate: NDArray[np.float64]
     min_rate: NDArray[np.float64]
     sic_violations: NDArray[np.float64]
@@ -50,6 +52,7 @@ class EpisodeMeasures:
             "path_ratio": float(ratios.mean()) if len(ratios) else float("nan"),
             "reward": float(self.reward.mean()),
             "ee": float(self.ee.mean()),
+            "ee_bits_per_joule": float(self.ee_bits_per_joule.mean()),
             "sum_rate": float(self.sum_rate.mean()),
             "min_rate": float(self.min_rate.mean()),
             "sic_violations": float(self.sic_violations.mean()),
@@ -90,12 +93,14 @@ class EpisodeTally:
         slots = np.maximum(self._slots, 1)
         length = np.maximum(self._slots.max(axis=-1), 1)
         ratio = self._slots / np.maximum(self._shortest, 1)
+        slot_s, config = self._world.slot_s, self._world.config
         return EpisodeMeasures(
             success=self._arrived.mean(axis=-1),
             path_ratio=np.where(self._arrived, ratio, np.nan),
             reward=self._reward,
-            ee=energy_efficiency(
-                self._rate_sum, slots, self._world.slot_s, self._world.config.motion
+            ee=energy_efficiency(self._rate_sum, slots, slot_s, config.motion),
+            ee_bits_per_joule=bits_per_joule(
+                self._rate_sum, slots, slot_s, config.noise.bandwidth_hz, config.motion
             ),
             sum_rate=self._rate_sum.sum(axis=-1) / length,
             min_rate=(self._rate_sum / slots).min(axis=-1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from env.allocation import Allocation, Downlink
 from env.config import EnvConfig
 from env.floor import Floor
 from env.observation import Observer
+from env.propagation import small_scale_fading
 from env.radio_map import RadioMap, build_radio_map
 
 
@@ -82,11 +84,14 @@ class World:
             np.flatnonzero(self._distance_m[:, k] >= config.tasks.start_distance_m)
             for k in range(len(destinations))
         ]
+        self._fixed_starts = _fixed_starts(config, self.floor)
         self._robot = np.arange(len(destinations))
         shape = (worlds, len(destinations))
         self.cell = np.zeros(shape, dtype=np.int64)
         self.driving = np.zeros(shape, dtype=bool)
         self.slot = np.zeros(worlds, dtype=np.int64)
+        self._fading_sources: Sequence[np.random.Generator] | None = None
+        self._fading: NDArray[np.complex128] | None = None
 
     @property
     def robots(self) -> int:
@@ -98,34 +103,86 @@ class World:
         """N_R^N, the AP's actions."""
         return len(self.radio_map.settings)
 
-    def reset(self, start: NDArray[np.int64] | None = None) -> None:
+    @property
+    def direct(self) -> NDArray[np.complex128]:
+        """The direct channel hbar of every robot in this slot, shape (B, K)."""
+        direct = self.radio_map.direct[self.cell]
+        return direct if self._fading is None else direct * self._fading
+
+    @property
+    def measured_db(self) -> NDArray[np.float32]:
+        """|hbar|^2 in dB as the robots measure it in this slot, float32, shape (B, K)."""
+        if self._fading is None:
+            return self.radio_map.direct_db[self.cell]
+        return np.asarray(20.0 * np.log10(np.abs(self.direct)), dtype=np.float32)
+
+    def channel(self, phase_action: NDArray[np.int64]) -> NDArray[np.complex128]:
+        """The combined channel h_k of every robot in this slot.
+
+        Args:
+            phase_action: the AP's action, shape (B,), or several of each world, shape (B, A) or
+                (1, A).
+
+        Returns:
+            h_k, shape (B, K) or (B, A, K).
+        """
+        cell, direct = self.cell, self.direct
+        if phase_action.ndim > 1:
+            cell, direct = cell[:, None], direct[:, None]
+        return self.radio_map.channel(cell, phase_action, direct)
+
+    def reset(
+        self,
+        start: NDArray[np.int64] | None = None,
+        fading: Sequence[np.random.Generator] | None = None,
+    ) -> None:
         """Begins an episode in every world.
 
         Args:
             start: cells to start from, shape (B, K), for any B; drawn if None: for each robot
-                uniformly from the cells at least ``tasks.start_distance_m`` from its destination.
+                uniformly from the cells at least ``tasks.start_distance_m`` from its destination,
+                or those of ``tasks.starts_m`` with ``tasks.start=fixed``.
+            fading: with ``channel.fading=slot``, the source of each of as many equal blocks of
+                worlds; one block with the world's own stream if None.
         """
         if start is None:
             start = self.draw_starts(len(self.slot))
         self.cell = np.array(start, dtype=np.int64)
         self.driving = np.ones_like(self.cell, dtype=bool)
         self.slot = np.zeros(len(self.cell), dtype=np.int64)
+        self._fading_sources = fading
+        self._draw_fading()
+
+    def _draw_fading(self) -> None:
+        """Draws the next slot's fading of hbar, if each slot has its own."""
+        if self.config.channel.fading != "slot":
+            return
+        sources = self._fading_sources or [self.generator]
+        k_db = self.config.channel.rician_k_db
+        blocks = np.split(self.radio_map.direct_los[self.cell], len(sources))
+        self._fading = np.concatenate(
+            [
+                small_scale_fading(los, k_db, source)
+                for los, source in zip(blocks, sources, strict=True)
+            ]
+        )
 
     def draw_starts(self, count: int) -> NDArray[np.int64]:
-        """Draws start cells from the world's stream, shape (count, K)."""
+        """Start cells, shape (count, K): fixed ones, or drawn from the world's stream."""
+        if len(self._fixed_starts):
+            return np.tile(self._fixed_starts, (count, 1))
         drawn = [self.generator.choice(cells, size=count) for cells in self._starts]
         return np.stack(drawn, axis=-1)
 
     def local_observations(self) -> NDArray[np.float32]:
         """s_L of every robot, float32, shape (B, K, local_size)."""
-        measured = self.radio_map.direct_db[self.cell]
-        return self.observer.local(self.cell, measured, self.destinations)
+        return self.observer.local(self.cell, self.measured_db, self.destinations)
 
     def global_observation(self, local: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """s_G, float32, shape (B, global_size); ``local`` saves computing s_L again."""
         if local is None:
             local = self.local_observations()
-        return self.observer.of_all(local, self.radio_map.direct[self.cell], self.driving)
+        return self.observer.of_all(local, self.direct, self.driving)
 
     def step(
         self,
@@ -144,7 +201,7 @@ class World:
             What the slot brought.
         """
         drove = self.driving
-        channel = self.radio_map.channel(self.cell, phase_action)
+        channel = self.channel(phase_action)
         gain = channel.real**2 + channel.imag**2
         allocation = self.downlink.allocate(gain, level, drove)
         before_m = self._distance_m[self.cell, self._robot]
@@ -154,16 +211,18 @@ class World:
         arrived = drove & (self.cell == self.destinations)
         self.driving = drove & ~arrived
         self.slot = self.slot + drove.any(axis=-1)
+        self._draw_fading()
         terminated = np.asarray(~self.driving.any(axis=-1))
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
         weights = self.config.reward
-        local = reward.local_reward(allocation.rate, before_m, after_m, arrived, weights)
+        counted = reward.metric(allocation.rate, self.config)
+        local = reward.local_reward(counted, before_m, after_m, arrived, weights)
         return Outcome(
             rate=allocation.rate,
             local_reward=np.where(drove, local, 0.0),
             global_reward=np.where(
                 drove.any(axis=-1),
-                reward.global_reward(allocation.rate.sum(axis=-1), weights),
+                reward.global_reward(np.where(drove, counted, 0.0).sum(axis=-1), weights),
                 0.0,
             ),
             drove=drove,
@@ -175,31 +234,45 @@ class World:
 
 
 def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> NDArray[np.int64]:
-    """The destinations of K robots: those of the configuration first, further ones drawn.
+    """The destinations of K robots: given ones first, further ones drawn.
+
+    ``tasks.destination`` is ``fixed``: those of ``tasks.destinations_m`` are given; ``random``:
+    none are; ``common``: the first one, given or drawn, is everybody's.
 
     Args:
         config: the environment.
         generator: the stream of destinations.
 
     Returns:
-        Cells, shape (K,), the drawn ones at least ``tasks.destination_spacing_m`` from all others.
+        Cells, shape (K,), the drawn ones at least ``tasks.destination_spacing_m`` from all others
+        and none of them a cell of ``tasks.starts_m`` with ``tasks.start=fixed``.
 
     Raises:
         ValueError: the floor has no room for that many.
     """
-    floor = Floor.from_config(config)
+    floor, tasks = Floor.from_config(config), config.tasks
     centres = floor.centres()
-    given = config.tasks.destinations_m[: config.robots]
+    count = 1 if tasks.destination == "common" else config.robots
+    given = [] if tasks.destination == "random" else tasks.destinations_m[:count]
     chosen = [int(floor.cell_at(np.asarray(position))) for position in given]
-    while len(chosen) < config.robots:
+    allowed = np.ones(floor.cells, dtype=bool)
+    allowed[_fixed_starts(config, floor)] = False
+    while len(chosen) < count:
         apart = np.linalg.norm(centres[:, None] - centres[chosen], axis=-1).min(
             axis=-1, initial=np.inf
         )
-        free = np.flatnonzero(apart >= config.tasks.destination_spacing_m)
+        free = np.flatnonzero(allowed & (apart >= tasks.destination_spacing_m))
         if not len(free):
             raise ValueError(
                 f"no room for {config.robots} destinations that are"
-                f" {config.tasks.destination_spacing_m} m apart"
+                f" {tasks.destination_spacing_m} m apart"
             )
         chosen.append(int(generator.choice(free)))
-    return np.array(chosen, dtype=np.int64)
+    return np.full(config.robots, chosen)
+
+
+def _fixed_starts(config: EnvConfig, floor: Floor) -> NDArray[np.int64]:
+    """The cells of ``tasks.starts_m``, shape (K,), or (0,) where starts are drawn."""
+    if config.tasks.start == "random":
+        return np.zeros(0, dtype=np.int64)
+    return floor.cell_at(np.asarray(config.tasks.starts_m[: config.robots], dtype=np.float64))

@@ -22,6 +22,7 @@ LABELS = {
     "success": "success",
     "path_ratio": "path ratio",
     "ee": "EE (bit/s/Hz/J)",
+    "ee_bits_per_joule": "EE (bit/J)",
     "sum_rate": "sum rate (bit/s/Hz)",
     "min_rate": "min rate (bit/s/Hz)",
     "sic_violations": "SIC violations",

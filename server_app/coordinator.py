@@ -187,7 +187,7 @@ class Coordinator:
             updates["flags"] = outcome.drove[0] * OUTCOME
             updates["flags"] |= outcome.arrived[0] * ARRIVED
             updates["outcome_cell"] = world.cell[0]
-            updates["outcome_channel_db"] = world.radio_map.direct_db[world.cell[0]]
+            updates["outcome_channel_db"] = world.measured_db[0]
             updates["rate"] = outcome.rate[0]
         return updates
 
@@ -196,4 +196,4 @@ class Coordinator:
         world = self._world
         updates["flags"] |= world.driving[0] * DRIVING
         updates["cell"] = world.cell[0]
-        updates["channel_db"] = world.radio_map.direct_db[world.cell[0]]
+        updates["channel_db"] = world.measured_db[0]

@@ -19,8 +19,9 @@ from env.world import World, draw_destinations
 class Evaluator:
     """Held-out episodes of a run, stepped together as one batch.
 
-    Starts and exploration come from the evaluation stream, from its beginning at every call: all
-    evaluations of a seed play the same starts, whatever else they play.
+    Starts, exploration and, where each slot has its own, fading come from the evaluation stream,
+    from its beginning at every call: all evaluations of a seed play the same starts, whatever else
+    they play.
 
     Args:
         config: the run's configuration.
@@ -60,7 +61,8 @@ class Evaluator:
             The measures for each epsilon.
         """
         world = self.world
-        world.reset(np.concatenate([self._starts] * len(epsilons)))
+        fading = [stream(self._seed, Stream.EVALUATION, 2) for _ in epsilons]
+        world.reset(np.concatenate([self._starts] * len(epsilons)), fading)
         tally = EpisodeTally(world)
         exploration = _Exploration(self._seed, epsilons, self.episodes)
         if trace is not None:

@@ -69,6 +69,8 @@ def test_a_number_that_is_not_finite_is_refused(key, value):
         ("env.tasks.destination_spacing_m", -1.0, "a number of at least 0"),
         ("env.tasks.start_distance_m", -1.0, "a number of at least 0"),
         ("env.power.sic_margin", -1.0, "a number of at least 0"),
+        ("env.qoe.scale", 0.0, "a number above 0"),
+        ("env.qoe.floor", 0.0, "a number above 0"),
         ("env.robots", 0, "a number from 1 to 64"),
         ("env.robots", 65, "a number from 1 to 64"),
         ("env.ris.side", -1, "a number from 0 to 256"),
@@ -76,6 +78,8 @@ def test_a_number_that_is_not_finite_is_refused(key, value):
         ("env.ris.bits", 0, "a number from 1 to 12"),
         ("env.ris.bits", 13, "a number from 1 to 12"),
         ("env.ris.subsurfaces", 0, "a number from 1 to 65536"),
+        ("env.ris.spacing", 0.0, "a number from 0.01 to 100"),
+        ("env.ris.spacing", 101.0, "a number from 0.01 to 100"),
         ("env.power.levels", 0, "a number from 1 to 48"),
         ("env.power.levels", 49, "a number from 1 to 48"),
         ("env.power.max_dbm", 61.0, "a number from -60 to 60"),
@@ -145,6 +149,46 @@ def test_projecting_needs_a_level_for_each_robot_and_the_other_rules_do_not():
     assert allowed.startswith("at least env.robots=4 with env.power.resolve=project")
     for resolve in ("residual", "zero"):
         assert problems(configured(robots=4, power__levels=3, power__resolve=resolve)) == []
+
+
+def test_orthogonal_access_needs_no_level_for_each_robot():
+    assert problems(configured(robots=4, power__levels=3, access="oma")) == []
+
+
+FOUR_STARTS = [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0], [4.25, 10.25]]
+
+
+@pytest.mark.parametrize(
+    ("starts", "destination", "wrong", "allowed"),
+    [
+        ([[1.0, 1.0]], "fixed", [[1.0, 1.0]], "at least env.robots=3 places"),
+        ([], "fixed", [], "at least env.robots=3 places with env.tasks.start=fixed"),
+        ([*FOUR_STARTS, [1.0, 30.0]], "fixed", [1.0, 30.0], "inside the room of 30 m x 30 m"),
+        ([*FOUR_STARTS[:2], [1.0]], "fixed", [1.0], "[x, y] inside the room"),
+        ([[27.4, 12.1], *FOUR_STARTS], "fixed", [27.4, 12.1], "off the cell of the robot's dest"),
+        ([*FOUR_STARTS[:2], [27.4, 12.1]], "common", [27.4, 12.1], "off the cell of the robot's"),
+    ],
+)
+def test_fixed_starts_that_do_not_fit_are_named(starts, destination, wrong, allowed):
+    config = configured(
+        tasks__start="fixed", tasks__starts_m=starts, tasks__destination=destination
+    )
+    [(key, value, say)] = problems(config)
+    assert (key, value) == ("env.tasks.starts_m", wrong)
+    assert allowed in say
+
+
+@pytest.mark.parametrize("destination", ["fixed", "random", "common"])
+def test_fixed_starts_may_be_another_robots_destination_and_any_distance_away(destination):
+    tasks = {"start": "fixed", "starts_m": FOUR_STARTS[::-1], "start_distance_m": 100.0}
+    changes = {f"tasks__{key}": value for key, value in tasks.items()}
+    assert problems(configured(tasks__destination=destination, **changes)) == []
+
+
+def test_a_far_start_is_refused_where_all_destinations_are_drawn():
+    assert problems(configured(tasks__destination="common", tasks__start_distance_m=25.0)) == []
+    [(key, _, _)] = problems(configured(tasks__destination="random", tasks__start_distance_m=25.0))
+    assert key == "env.tasks.start_distance_m"
 
 
 def test_every_problem_is_listed_at_once():

@@ -27,6 +27,14 @@ CONFIGS: dict[str, dict[str, Any]] = {
     "two_subsurfaces": {"robots": 2, "ris": {"subsurfaces": 2}, "power": {"levels": 4}},
     "residual": {"robots": 3, "power": {"resolve": "residual", "levels": 3}},
     "zero": {"robots": 2, "power": {"resolve": "zero", "levels": 4}},
+    "qoe": {"metric": "qoe", "power": {"levels": 4}},
+    "oma": {"access": "oma"},
+    "oma_reallocate_qoe": {
+        "access": "oma",
+        "metric": "qoe",
+        "oma": {"share": "reallocate"},
+        "ris": {"subsurfaces": 2},
+    },
 }
 few = settings(max_examples=15, deadline=None)
 
@@ -48,14 +56,17 @@ def worlds(draw: st.DrawFn, names: tuple[str, ...] = tuple(CONFIGS)) -> World:
     return world
 
 
-def slot_rate(
+def slot_metric(
     world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """sum_k R_k of a slot that is then taken back, shape (B,)."""
+    """sum_k R_k, or eta_k where driving, of a slot that is then taken back, shape (B,)."""
     cell, driving, slot = world.cell, world.driving, world.slot
     outcome = world.step(phase, np.zeros_like(level), level)
     world.cell, world.driving, world.slot = cell, driving, slot
-    return np.asarray(outcome.rate.sum(axis=-1))
+    if world.config.metric == "qos":
+        return np.asarray(outcome.rate.sum(axis=-1))
+    eta = np.log10(np.maximum(outcome.rate, 0.01))
+    return np.asarray(eta.sum(axis=-1, where=driving))
 
 
 @given(world=worlds(), data=st.data())
@@ -63,8 +74,8 @@ def slot_rate(
 def test_no_fixed_phase_beats_the_best_phase(world: World, data: st.DataObject) -> None:
     random = np.random.default_rng(data.draw(st.integers(0, 2**32)))
     level = random.integers(1, world.config.power.levels + 1, size=world.cell.shape)
-    fixed = [slot_rate(world, np.full(3, phase), level) for phase in range(world.phase_actions)]
-    best = slot_rate(world, oracles.best_phase(world, level), level)
+    fixed = [slot_metric(world, np.full(3, phase), level) for phase in range(world.phase_actions)]
+    best = slot_metric(world, oracles.best_phase(world, level), level)
     np.testing.assert_allclose(best, np.max(fixed, axis=0), rtol=1e-12)
 
 
@@ -72,25 +83,57 @@ def test_no_fixed_phase_beats_the_best_phase(world: World, data: st.DataObject) 
 @few
 def test_no_picks_beat_the_best_powers(world: World, data: st.DataObject) -> None:
     phase, level = oracles.best_phase_and_powers(world)
-    best = slot_rate(world, phase, level)
+    best = slot_metric(world, phase, level)
     random = np.random.default_rng(data.draw(st.integers(0, 2**32)))
     for _ in range(20):
         picks = random.integers(1, world.config.power.levels + 1, size=world.cell.shape)
-        assert (slot_rate(world, oracles.best_phase(world, picks), picks) <= best + 1e-9).all()
+        assert (slot_metric(world, oracles.best_phase(world, picks), picks) <= best + 1e-9).all()
 
 
-@pytest.mark.parametrize("name", ["two_subsurfaces", "residual", "zero"])
+@pytest.mark.parametrize("name", ["two_subsurfaces", "residual", "zero", "qoe"])
 def test_best_powers_are_those_of_a_plain_search(name: str) -> None:
     world = shared(name)
     world.reset(np.random.default_rng(8).integers(world.floor.cells, size=(3, world.robots)))
     every = product(range(1, world.config.power.levels + 1), repeat=world.robots)
     tried = [
-        slot_rate(world, np.full(3, phase), np.tile(picks, (3, 1)))
+        slot_metric(world, np.full(3, phase), np.tile(picks, (3, 1)))
         for picks in every
         for phase in range(world.phase_actions)
     ]
-    best = slot_rate(world, *oracles.best_phase_and_powers(world))
+    best = slot_metric(world, *oracles.best_phase_and_powers(world))
     np.testing.assert_allclose(best, np.max(tried, axis=0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["oma", "oma_reallocate_qoe"])
+def test_under_oma_the_phase_alone_is_searched(name: str) -> None:
+    world = shared(name)
+    world.reset(np.random.default_rng(8).integers(world.floor.cells, size=(3, world.robots)))
+    phase, level = oracles.best_phase_and_powers(world)
+    np.testing.assert_array_equal(level, 1)
+    np.testing.assert_array_equal(phase, oracles.best_phase(world, level))
+    np.testing.assert_array_equal(phase, oracles.best_phase(world, np.full_like(level, 6)))
+    every = [slot_metric(world, np.full(3, a), level) for a in range(world.phase_actions)]
+    np.testing.assert_array_equal(phase, np.argmax(every, axis=0))
+
+
+def test_the_best_quality_spares_the_weakest_robot_what_the_best_sum_takes() -> None:
+    """Baseline 3: the logarithm cares more for low rates."""
+    quality, least = shared("qoe"), []
+    sums = World(
+        replace(quality.config, metric="qos"),
+        quality.destinations,
+        quality.generator,
+        3,
+        quality.radio_map,
+    )
+    cells = np.random.default_rng(1).integers(quality.floor.cells, size=(200, quality.robots))
+    for world in (quality, sums):
+        world.reset(cells)
+        phase, level = oracles.best_phase_and_powers(world)
+        rate = world.step(phase, np.zeros_like(level), level).rate
+        least.append((rate.min(axis=-1).mean(), rate.sum(axis=-1).mean()))
+    assert least[0][0] > least[1][0]
+    assert least[0][1] < least[1][1]
 
 
 def test_the_best_powers_are_sent_as_they_are() -> None:

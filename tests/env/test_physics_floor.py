@@ -159,6 +159,48 @@ def test_destinations_differ_between_seeds_where_they_are_drawn():
     assert len(drawn) > 5
 
 
+@given(st.integers(0, 10_000), st.integers(2, 6))
+@settings(deadline=None, max_examples=15)
+def test_random_destinations_are_all_drawn_and_keep_their_distance(seed, robots):
+    config = EnvConfig(robots=robots, tasks=TasksConfig(destination="random"))
+    cells = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
+    at = Floor.from_config(config).centres()[cells]
+    apart = np.linalg.norm(at[:, None] - at, axis=-1)
+    assert apart[np.triu_indices(robots, 1)].min() >= 5.0
+    again = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
+    assert again.tolist() == cells.tolist()
+
+
+def test_random_destinations_differ_between_seeds():
+    config = EnvConfig(robots=2, tasks=TasksConfig(destination="random"))
+    drawn = {int(draw_destinations(config, stream(s, Stream.DESTINATIONS))[0]) for s in range(10)}
+    assert len(drawn) > 8
+
+
+@pytest.mark.parametrize("given_m", [[[27.25, 12.25], [4.25, 10.25]], []])
+def test_a_common_destination_is_the_first_one_given_or_drawn(given_m):
+    tasks = TasksConfig(destination="common", destinations_m=given_m)
+    config = EnvConfig(robots=5, tasks=tasks)
+    cells = draw_destinations(config, stream(0, Stream.DESTINATIONS))
+    assert len({*cells.tolist()}) == 1
+    assert cells.shape == (5,)
+    if given_m:
+        assert Floor.from_config(config).centres()[cells[0]].tolist() == given_m[0]
+
+
+def test_no_destination_is_drawn_where_a_robot_always_starts():
+    room = RoomConfig(width_m=1.0, depth_m=1.0)
+    tasks = TasksConfig(
+        destination="common",
+        destinations_m=[],
+        start="fixed",
+        starts_m=[[0.25, 0.25], [0.25, 0.75], [0.75, 0.25]],
+    )
+    config = EnvConfig(robots=3, room=room, tasks=tasks)
+    cells = [draw_destinations(config, stream(s, Stream.DESTINATIONS))[0] for s in range(8)]
+    assert cells == [3] * 8
+
+
 def test_too_many_destinations_for_the_floor_are_refused():
     config = EnvConfig(
         robots=3,

@@ -6,13 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from env import actions
-from env.config import MotionConfig, RewardConfig
+from env.config import EnvConfig, MotionConfig, QoeConfig, RewardConfig
 from env.reward import (
+    bits_per_joule,
     distance_m,
     energy_efficiency,
     global_reward,
     local_reward,
+    metric,
     motion_energy_j,
+    quality_of_experience,
 )
 
 
@@ -59,6 +62,57 @@ def test_longer_slots_cost_energy_in_proportion():
     rate_sum, slots = np.array([30.0]), np.array([10])
     short = energy_efficiency(rate_sum, slots, 1.0, MotionConfig())
     assert energy_efficiency(rate_sum, slots, 2.0, MotionConfig()) == pytest.approx(short / 2)
+
+
+def test_bits_per_joule_by_hand():
+    rate_sum, slots = np.array([[30.0, 20.0]]), np.array([[10, 5]])
+    # 50 bit/s/Hz over 1 Hz and slots of 2 s are 100 bit; 15 slots cost 15 * 2 * 3.99 J.
+    found = bits_per_joule(rate_sum, slots, 2.0, 1.0, MotionConfig())
+    assert found == pytest.approx([100 / 119.7])
+    wide = bits_per_joule(rate_sum, slots, 2.0, 1e6, MotionConfig())
+    assert wide == pytest.approx(found * 1e6)
+
+
+@given(st.floats(0, 30), st.lists(st.integers(1, 150), min_size=1, max_size=5))
+@settings(deadline=None)
+def test_bits_per_joule_at_one_rate_do_not_depend_on_the_length_of_ways(rate, driven):
+    slots = np.array([driven])
+    found = bits_per_joule(rate * slots, slots, 1.0, 1.0, MotionConfig())
+    assert found == pytest.approx([rate / 3.99])
+
+
+def test_quality_of_experience_of_baseline_3_by_hand():
+    rate = np.array([10.0, 1.0, 0.001, 0.0])
+    assert quality_of_experience(rate, QoeConfig()) == pytest.approx([1.0, 0.0, -2.0, -2.0])
+    found = quality_of_experience(rate, QoeConfig(scale=2.0, offset=3.0, floor=0.1))
+    assert found == pytest.approx([5.0, 3.0, 1.0, 1.0])
+
+
+@given(st.floats(0, 40), st.floats(0, 40))
+@settings(deadline=None)
+def test_quality_never_falls_with_the_rate(first, second):
+    low, high = sorted((first, second))
+    found = quality_of_experience(np.array([low, high]), QoeConfig())
+    assert found[0] <= found[1]
+
+
+@given(st.integers(0, 2**32), st.integers(1, 40))
+@settings(deadline=None)
+def test_the_bits_of_the_quality_do_not_depend_on_what_lies_around_a_rate(seed, count):
+    """A robot works its reward out from one field of a message, the world from an array of all."""
+    rate = np.random.default_rng(seed).exponential(5.0, size=count)
+    message = np.zeros(count, dtype=[("flag", "u1"), ("rate", "f8")])
+    message["rate"] = rate
+    together = quality_of_experience(rate, QoeConfig())
+    assert quality_of_experience(message["rate"], QoeConfig()).tobytes() == together.tobytes()
+    alone = [quality_of_experience(rate[k : k + 1], QoeConfig())[0] for k in range(count)]
+    assert together.tolist() == alone
+
+
+def test_rewards_are_made_of_the_rate_unless_the_metric_is_quality():
+    rate = np.array([10.0, 100.0])
+    assert metric(rate, EnvConfig()) is rate
+    assert metric(rate, EnvConfig(metric="qoe")) == pytest.approx([1.0, 2.0])
 
 
 @given(st.floats(0, 30), st.integers(1, 150), st.integers(1, 150))

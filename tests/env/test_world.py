@@ -13,6 +13,7 @@ from env.config import (
     ChannelConfig,
     EnvConfig,
     MotionConfig,
+    OmaConfig,
     PowerConfig,
     RisConfig,
     RoomConfig,
@@ -35,6 +36,11 @@ VARIANTS = {
     "faint": EnvConfig(robots=4, ris=RisConfig(side=0), power=PowerConfig(max_dbm=0.0)),
     "literal": EnvConfig(robots=3, state=StateConfig(destination="none")),
     "many": EnvConfig(robots=6, power=PowerConfig(levels=8)),
+    "oma": EnvConfig(robots=4, access="oma"),
+    "reallocate": EnvConfig(robots=4, access="oma", oma=OmaConfig(share="reallocate")),
+    "qoe": EnvConfig(robots=4, metric="qoe"),
+    "oma_qoe": EnvConfig(robots=7, access="oma", metric="qoe"),
+    "common": EnvConfig(robots=4, tasks=TasksConfig(destination="common")),
 }
 
 
@@ -158,10 +164,48 @@ def test_the_measures_of_the_episode_by_hand():
     assert found.reward == pytest.approx([0.05 * (near + far) + 3 * 1.5 - 3 + 200])
     # A slot costs 3.99 J; robot 0 drove two, robot 1 one.
     assert found.ee == pytest.approx([near / 2 / 7.98 + far / 1 / 3.99])
+    assert found.ee_bits_per_joule == pytest.approx([(near + far) / (3 * 3.99)])
     assert found.sum_rate == pytest.approx([(near + far) / 2])
     assert found.min_rate == pytest.approx([min(near / 2, far)])
     assert found.projections.tolist() == [0.5]
     assert found.sic_violations.tolist() == [0.0]
+
+
+def test_with_orthogonal_access_each_has_its_part_until_the_end_by_hand():
+    world = tiny_world((3, 1), access="oma")
+    first = step(world, (EAST, 2), (WEST, 3))
+    rates = [math.log2(1 + gain * 0.05 / 0.5e-13) / 2 for gain in FIRST_GAINS]
+    assert first.rate[0] == pytest.approx(rates)
+    assert first.allocation.power_w.tolist() == [[0.05, 0.05]]
+    second = step(world, (EAST, 1), (NORTH, 1))
+    alone = math.log2(1 + gain_at(2.25, 0.25) * 0.1 / 1e-13)
+    assert second.rate[0] == pytest.approx([alone / 2, 0.0])
+    assert second.global_reward == pytest.approx([0.05 * alone])
+
+
+def test_the_last_one_driving_gets_the_whole_band_where_parts_are_dealt_out_again():
+    world = tiny_world((3, 1), access="oma", oma=OmaConfig(share="reallocate"))
+    step(world, (EAST, 2), (WEST, 3))
+    outcome = step(world, (EAST, 1), (NORTH, 1))
+    alone = math.log2(1 + gain_at(2.25, 0.25) * 0.1 / 1e-13)
+    assert outcome.rate[0] == pytest.approx([alone, 0.0])
+    assert outcome.allocation.power_w[0] == pytest.approx([0.1, 0.0])
+
+
+def test_quality_of_experience_replaces_the_rate_in_every_reward_by_hand():
+    world = tiny_world((3, 1), metric="qoe")
+    tally = EpisodeTally(world)
+    first = step(world, (EAST, 2), (WEST, 3))
+    eta = [math.log10(rate) for rate in FIRST_RATES]
+    assert first.rate[0] == pytest.approx(FIRST_RATES)
+    expected = [0.05 * eta[0] + 1.5 - 1, 0.05 * eta[1] + 1.5 - 1 + 100]
+    assert first.local_reward[0] == pytest.approx(expected)
+    assert first.global_reward == pytest.approx([0.1 * sum(eta)])
+    second = step(world, (EAST, 1), (NORTH, 1))
+    # The robot that has arrived has no rate, and its floor does not count.
+    assert second.global_reward == pytest.approx([0.1 * math.log10(SECOND_RATE)])
+    tally.add(first)
+    assert tally.measures().sum_rate == pytest.approx([sum(FIRST_RATES)])
 
 
 def test_measures_of_a_detour_a_failure_and_signals_that_cannot_be_decoded():
@@ -282,6 +326,24 @@ def test_a_reset_draws_for_every_world_and_sets_clock_and_robots_going():
     assert (world.slot == 0).all()
     assert world.driving.all()
     assert (world.cell != first).mean() > 0.9
+
+
+def test_fixed_starts_are_those_of_the_configuration_and_draw_nothing():
+    starts = [[0.25, 0.25], [29.75, 29.75], [3.0, 4.0]]
+    world = make(EnvConfig(robots=2, tasks=TasksConfig(start="fixed", starts_m=starts)), worlds=3)
+    world.reset()
+    assert world.cell.tolist() == [[0, 3599]] * 3
+    assert world.generator.random() == stream(0, Stream.WORLD).random()
+
+
+def test_robots_with_one_destination_all_arrive_there():
+    world = make(VARIANTS["common"])
+    goal = int(world.destinations[0])
+    assert world.destinations.tolist() == [goal] * 4
+    world.reset(np.array([[goal - 1, goal + 1, goal - 60, goal + 60]]))
+    outcome = step(world, (EAST, 1), (WEST, 2), (NORTH, 3), (SOUTH, 4))
+    assert outcome.arrived.all()
+    assert outcome.terminated.all()
 
 
 # Batches, seeds, generators.
@@ -412,7 +474,9 @@ def test_positions_are_scaled_to_a_room_of_any_shape():
 # A robot's slice.
 
 
-@pytest.mark.parametrize("variant", ["project", "zero", "literal", "many"])
+@pytest.mark.parametrize(
+    "variant", ["project", "zero", "literal", "many", "qoe", "oma_qoe", "common"]
+)
 def test_a_slice_makes_the_worlds_observation_and_reward_bit_by_bit(variant):
     config = VARIANTS[variant]
     world = make(config)

@@ -29,7 +29,7 @@ Tiny = Callable[..., Config]
 
 
 class SpiedWorld(World):
-    """A world that keeps the outcomes, the cells reached and the cells of each reset."""
+    """A world that keeps the outcomes, and cells and channels after each slot and reset."""
 
     def __init__(self, config: Config) -> None:
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
@@ -38,16 +38,20 @@ class SpiedWorld(World):
         self.reached: list[NDArray[np.int64]] = []
         self.starts: list[NDArray[np.int64]] = []
         self.phases: list[int] = []
+        self.reached_db: list[NDArray[np.float32]] = []
+        self.starts_db: list[NDArray[np.float32]] = []
 
-    def reset(self, start: NDArray[np.int64] | None = None) -> None:
-        super().reset(start)
+    def reset(self, start: Any = None, fading: Any = None) -> None:
+        super().reset(start, fading)
         self.starts.append(self.cell[0])
+        self.starts_db.append(self.measured_db[0])
 
     def step(self, phase_action: Any, direction: Any, level: Any) -> Outcome:
         outcome = super().step(phase_action, direction, level)
         self.phases.append(int(phase_action[0]))
         self.outcomes.append(outcome)
         self.reached.append(self.cell[0])
+        self.reached_db.append(self.measured_db[0])
         return outcome
 
 
@@ -246,22 +250,22 @@ def test_an_arrived_robot_is_neither_told_to_act_nor_of_outcomes_until_the_reset
     assert idle > 0
 
 
+@pytest.mark.parametrize("fading", ["static", "slot"])
 @pytest.mark.parametrize("homing", [True, False])
 def test_after_an_episode_robots_see_the_next_start_and_the_outcome_of_the_last(
-    tiny: Tiny, homing: bool
+    tiny: Tiny, homing: bool, fading: str
 ) -> None:
-    rig = Rig(tiny({"train.max_ticks": 100}), homing=homing)
-    starts = iter(rig.world.starts[1:])
-    power_db = rig.world.radio_map.direct_db
-    for updates, outcome, reached in zip(
-        rig.answers(), rig.world.outcomes, rig.world.reached, strict=True
-    ):
+    rig = Rig(tiny({"train.max_ticks": 100, "env.channel.fading": fading}), homing=homing)
+    world = rig.world
+    starts = iter(zip(world.starts[1:], world.starts_db[1:], strict=True))
+    ends = zip(world.reached, world.reached_db, strict=True)
+    for updates, outcome, end in zip(rig.answers(), world.outcomes, ends, strict=True):
         over = bool(outcome.terminated[0] or outcome.truncated[0])
-        now = next(starts) if over else reached
+        (reached, reached_db), (now, now_db) = end, next(starts) if over else end
         np.testing.assert_array_equal(updates["outcome_cell"], reached)
         np.testing.assert_array_equal(updates["cell"], now)
-        np.testing.assert_array_equal(updates["outcome_channel_db"], power_db[reached])
-        np.testing.assert_array_equal(updates["channel_db"], power_db[now])
+        np.testing.assert_array_equal(updates["outcome_channel_db"], reached_db)
+        np.testing.assert_array_equal(updates["channel_db"], now_db)
     assert list(starts) == []
 
 

@@ -45,8 +45,11 @@ def test_an_evaluation_repeats_itself(tiny: Tiny, weights: Weights) -> None:
     assert same(first[0], Evaluator(tiny()).play(*weights, (0.3,))[0])
 
 
-def test_what_is_played_beside_it_changes_no_evaluation(tiny: Tiny, weights: Weights) -> None:
-    evaluator = Evaluator(tiny({"evaluation.episodes": 16}))
+@pytest.mark.parametrize("fading", ["static", "slot"])
+def test_what_is_played_beside_it_changes_no_evaluation(
+    tiny: Tiny, weights: Weights, fading: str
+) -> None:
+    evaluator = Evaluator(tiny({"evaluation.episodes": 16, "env.channel.fading": fading}))
     together = evaluator.play(*weights, (0.3, 0.0, 0.6))
     for epsilon, measures in zip((0.3, 0.0, 0.6), together, strict=True):
         assert same(measures, evaluator.play(*weights, (epsilon,))[0])
