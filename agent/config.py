@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 Problem = tuple[str, object, str]
 
 WIDEST_LAYER = 4096
+MOST_TRANSITIONS = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,8 @@ def _network(config: AgentConfig) -> Iterator[Problem]:
 
 
 def _learning(config: AgentConfig) -> Iterator[Problem]:
+    if config.learning_rate > 1:
+        yield "agent.learning_rate", config.learning_rate, "at most 1"
     for key in ("learning_rate", "huber_delta", "reward_scale"):
         value = getattr(config, key)
         if not (math.isfinite(value) and value > 0):
@@ -99,6 +102,8 @@ def _replay(config: AgentConfig) -> Iterator[Problem]:
         value = getattr(config, key)
         if not _is_integer(value) or value < 1:
             yield f"agent.{key}", value, "a whole number of at least 1"
+    if config.replay_size > MOST_TRANSITIONS:
+        yield "agent.replay_size", config.replay_size, f"at most {MOST_TRANSITIONS}"
     for key in ("batch_size", "learn_from"):
         value = getattr(config, key)
         if value > config.replay_size:

@@ -56,7 +56,7 @@ def train(message: Message, context: Context) -> Message:
     began = time.process_time()
     order = Order.read(message.content.config_records["order"])
     group = RobotGroup(order.config, order.robots)
-    folder = state_folder(order.config, context)
+    folder = Path(str(order.config.run.dir)) / "state"
     if order.window:
         load_state(group, folder, order.window)
     model = message.content.array_records["arrays"].get("model")
@@ -69,6 +69,7 @@ def train(message: Message, context: Context) -> Message:
         group,
         fingerprint=fingerprint(),
         timeout_s=order.config.federation.link.timeout_s,
+        patience_s=order.config.federation.link.patience_s,
         n_parameters=group.parameters,
     )
     save_state(group, folder, group.window)
@@ -79,9 +80,3 @@ def train(message: Message, context: Context) -> Message:
         }
     )
     return Message(content=content, reply_to=message)
-
-
-def state_folder(config: Config, context: Context) -> Path:
-    """Where this node keeps its robots' state: ``state-dir`` of its node config, or the run's."""
-    given = context.node_config.get("state-dir")
-    return Path(str(given)) if given else Path(str(config.run.dir)) / "state"

@@ -1,11 +1,11 @@
 """Hydra configuration: the YAML groups, their schema, and how a run's configuration is composed."""
 
+from conf.checks import problems
 from conf.compose import (
     ConfigError,
     compose,
     from_node,
     from_yaml,
-    problems,
     register_schema,
     to_yaml,
 )

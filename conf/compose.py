@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,11 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
 
-from agent.config import problems as agent_problems
+from conf.checks import problems
 from conf.schema import Config
 from env.config import Problem
-from env.config import problems as env_problems
-from env.seeding import Stream, stream
-from env.world import draw_destinations
 
 FOLDER = Path(__file__).parent
-RUNTIMES = ("local", "simulation")
 GROUPS = ("env", "agent", "strategy", "runtime", "experiment")
 
 
@@ -107,6 +104,7 @@ def to_yaml(config: Config) -> str:
     return OmegaConf.to_yaml(OmegaConf.structured(config))
 
 
+@lru_cache(maxsize=8)
 def from_yaml(text: str) -> Config:
     """Reads what ``to_yaml`` wrote.
 
@@ -115,105 +113,11 @@ def from_yaml(text: str) -> Config:
     """
     try:
         node = OmegaConf.create(text)
-    except YAMLError as error:
+    except (YAMLError, OmegaConfBaseException, AssertionError) as error:  # the last: "12"
         raise ConfigError(f"the configuration is no YAML: {_first_sentence(error)}.") from error
     if not isinstance(node, DictConfig):
         raise ConfigError("the configuration is no mapping of keys to values.")
     return from_node(node)
-
-
-def problems(config: Config) -> list[Problem]:
-    """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
-    found = [
-        *_run_problems(config),
-        *env_problems(config.env),
-        *agent_problems(config.agent),
-    ]
-    return found or _destination_problems(config)
-
-
-def _destination_problems(config: Config) -> list[Problem]:
-    """Whether the floor holds the destinations that are drawn; that depends on the seed."""
-    try:
-        draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-    except ValueError as error:
-        return [("env.robots", config.env.robots, f"fewer, or closer destinations: {error}")]
-    return []
-
-
-def _run_problems(config: Config) -> list[Problem]:
-    federation, robots = config.federation, config.env.robots
-    clients_say = f"a number from 1 to env.robots={robots}, or null"
-    checks: list[tuple[str, Any, bool, str]] = [
-        (
-            "runtime.name",
-            config.runtime.name,
-            config.runtime.name in RUNTIMES,
-            f"one of {', '.join(RUNTIMES)}",
-        ),
-        ("seed", config.seed, config.seed >= 0, "a number of at least 0"),
-        ("train.episodes", config.train.episodes, config.train.episodes >= 1, "at least 1"),
-        (
-            "train.max_ticks",
-            config.train.max_ticks,
-            _at_least_one(config.train.max_ticks),
-            "a number of at least 1, or null",
-        ),
-        (
-            "federation.every",
-            federation.every,
-            1 <= federation.every <= 1_000_000,
-            "a number from 1 to 1000000",
-        ),
-        (
-            "federation.windows_per_round",
-            federation.windows_per_round,
-            _at_least_one(federation.windows_per_round),
-            "a number of at least 1, or null",
-        ),
-        (
-            "federation.clients",
-            federation.clients,
-            federation.clients is None or 1 <= federation.clients <= robots,
-            clients_say,
-        ),
-        (
-            "federation.link.port",
-            federation.link.port,
-            0 <= federation.link.port <= 65535,
-            "a port from 1 to 65535, or 0 for any that is free",
-        ),
-        (
-            "federation.link.timeout_s",
-            federation.link.timeout_s,
-            federation.link.timeout_s > 0,
-            "a number of seconds above 0",
-        ),
-        (
-            "runtime.start_timeout_s",
-            config.runtime.start_timeout_s,
-            config.runtime.start_timeout_s > 0,
-            "a number of seconds above 0",
-        ),
-        ("evaluation.every", config.evaluation.every, config.evaluation.every >= 1, "at least 1"),
-        (
-            "evaluation.episodes",
-            config.evaluation.episodes,
-            1 <= config.evaluation.episodes <= 100_000,
-            "a number from 1 to 100000",
-        ),
-        (
-            "evaluation.epsilon",
-            config.evaluation.epsilon,
-            0 <= config.evaluation.epsilon <= 1,
-            "a number from 0 to 1",
-        ),
-    ]
-    return [(key, value, say) for key, value, fine, say in checks if not fine]
-
-
-def _at_least_one(value: int | None) -> bool:
-    return value is None or value >= 1
 
 
 def check_overrides(overrides: Sequence[str], *, sweep: bool = False) -> None:
@@ -230,7 +134,8 @@ def check_overrides(overrides: Sequence[str], *, sweep: bool = False) -> None:
         try:
             override = OverridesParser.create().parse_override(text)
         except HydraException as error:
-            raise ConfigError(f"{text!r} is not of the form key=value.") from error
+            hint = ": quote a value that holds more than a word" if "=" in text else ""
+            raise ConfigError(f"{text!r} is not of the form key=value{hint}.") from error
         key = override.key_or_group
         if key.startswith("hydra"):
             continue

@@ -39,7 +39,8 @@ class LinkConfig:
 
     host: str = "127.0.0.1"
     port: int = 0  # 0 picks a free one
-    timeout_s: float = 60.0  # longest wait for one answer
+    timeout_s: float = 60.0  # longest wait for a robot's answer
+    patience_s: float = 600.0  # longest silence of the server, while others join or it evaluates
 
 
 @dataclass(frozen=True)

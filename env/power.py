@@ -13,6 +13,15 @@ from numpy.typing import NDArray
 MAX_TABLE = 50_000
 """Most picks for which the projection without margins is remembered."""
 
+FIRST_EXCESS = 16
+"""How far above the least distance a combination that keeps margins is sought at first."""
+
+MAX_CELLS = 2**22
+"""Most cells of a table of the search."""
+
+NEVER = 10**6
+"""A distance above any that is possible."""
+
 
 def fractions(levels: NDArray[np.int64]) -> NDArray[np.float64]:
     """P / P_max = 2^-l of levels l >= 1, and 0 for level 0 (not served); same shape."""
@@ -44,10 +53,11 @@ def project_levels(
     ``least_gap``. Nearest is the least sum of |level - pick|, and among those the least total
     power, which is unique since powers of two are.
 
-    The table ``least[l, c]`` holds, over the ranks so far with the last one at level l and a
-    distance of c, the least total power. Of two such prefixes the one of less power leaves every
-    later margin at least as wide, so no other needs to be kept: the search is exact in
-    O(K N_P^2 K) steps, where there are C(N_P, K) combinations.
+    Of two choices for the stronger ranks that cost the same distance, the one of less power leaves
+    every later margin at least as wide, so no other needs to be kept. Without margins the nearest
+    distance D of a row is quick to find, so only distances of D to D + excess are searched: an
+    excess of 0 suffices without margins, and with them it widens until a combination is found, or
+    shown not to exist. A search takes O(K N_P excess) steps a row.
 
     Args:
         picks: levels picked, by rank, shape (B, K).
@@ -60,56 +70,137 @@ def project_levels(
         exists, shape (B,) (rows without one hold zeros).
     """
     rows, ranks = picks.shape
-    worst = ranks * (levels - 1) + 1
-    power = np.exp2(-np.arange(1, levels + 1, dtype=np.float64))
-    least = np.full((ranks, rows, levels, worst), np.inf)
-    came_from = np.zeros((ranks, rows, levels, worst), dtype=np.int64)
-    distance = np.abs(np.arange(1, levels + 1) - picks[..., None])  # (B, K, N_P)
-    row = np.arange(rows)
-    for rank in range(ranks):
-        for level in range(levels):
-            step = distance[:, rank, level]
-            if rank == 0:
-                least[0, row, level, step] = power[level]
-                continue
-            if level + 1 >= levels:  # no weaker power is left for the stronger ranks
-                continue
-            before = least[rank - 1, :, level + 1 :, :]
-            best = before.argmin(axis=1)
-            total = np.take_along_axis(before, best[:, None], axis=1)[:, 0]
-            if least_gap is not None:
-                total = np.where(
-                    power[level] - total >= least_gap[:, rank - 1, None], total, np.inf
-                )
-            for shift in np.unique(step):
-                at = np.flatnonzero(step == shift)
-                least[rank, at, level, shift:] = total[at, : worst - shift] + power[level]
-                came_from[rank, at, level, shift:] = best[at, : worst - shift] + level + 1
-    return _trace(least, came_from, distance, count)
-
-
-def _trace(
-    least: NDArray[np.float64],
-    came_from: NDArray[np.int64],
-    distance: NDArray[np.int64],
-    count: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Reads the nearest combination of each row back from the tables."""
-    ranks, rows, _, _ = least.shape
-    row = np.arange(rows)
-    last = least[np.maximum(count - 1, 0), row]  # (B, N_P, C)
-    by_distance = last.min(axis=1)
-    feasible = np.isfinite(by_distance).any(axis=-1) | (count == 0)
-    cost = np.isfinite(by_distance).argmax(axis=-1)
-    level = last[row, :, cost].argmin(axis=-1)
-    chosen = np.zeros((rows, ranks), dtype=np.int64)
-    for rank in reversed(range(ranks)):
-        at = feasible & (rank < count)
-        chosen[:, rank] = np.where(at, level + 1, 0)
-        before = came_from[rank, row, level, cost]
-        cost = np.where(at, cost - distance[row, rank, level], cost)
-        level = np.where(at, before, level)
+    chosen, feasible = np.zeros_like(picks), np.zeros(rows, dtype=bool)
+    open_rows = np.arange(rows)
+    worst = ranks * (levels - 1)
+    excess = 0 if least_gap is None else min(FIRST_EXCESS, worst)
+    while len(open_rows):
+        for at in _chunks(open_rows, ranks * (levels + 1) * (excess + 2)):
+            gap = None if least_gap is None else least_gap[at]
+            chosen[at], feasible[at] = _Search(picks[at], count[at], levels).nearest(excess, gap)
+        open_rows = open_rows[~feasible[open_rows]]
+        if excess >= worst or least_gap is None:
+            break
+        if excess == FIRST_EXCESS and len(open_rows):
+            search = _Search(picks[open_rows], count[open_rows], levels, anywhere=True)
+            open_rows = open_rows[search.nearest(0, least_gap[open_rows])[1]]
+        excess = min(4 * excess, worst)
     return chosen, feasible
+
+
+def _chunks(rows: NDArray[np.int64], cells: int) -> list[NDArray[np.int64]]:
+    """Rows in groups whose tables, of so many cells a row, stay small."""
+    size = max(MAX_CELLS // cells, 1)
+    return [rows[first : first + size] for first in range(0, len(rows), size)]
+
+
+class _Search:
+    """The dynamic programme, over ranks from the strongest and the *slack* s of each.
+
+    A level falls by at least one from rank to rank: with l = N_P - r - s at rank r = 0.., the slack
+    s never falls and ends at most at N_P - n, where n ranks are served. Ranks that are not served
+    cost nothing, take no power and keep no margin. A *gate* (r, s) stands for all choices up to
+    rank r whose slack is at most s.
+
+    Args:
+        picks: levels picked, by rank, shape (B, K).
+        count: served ranks, shape (B,).
+        levels: N_P.
+        anywhere: leave the picks out, to see whether anything is feasible.
+    """
+
+    def __init__(
+        self,
+        picks: NDArray[np.int64],
+        count: NDArray[np.int64],
+        levels: int,
+        *,
+        anywhere: bool = False,
+    ) -> None:
+        rows, ranks = picks.shape
+        self.last = levels - np.maximum(count, 1)  # the widest slack of each row
+        slack = np.arange(self.last.max(initial=0) + 1)
+        self.served = np.arange(ranks) < count[:, None]
+        self.level = levels - np.arange(ranks)[:, None] - slack  # (K, S)
+        served, outside = self.served[..., None], slack > self.last[:, None]
+        self.power = np.where(served, np.exp2(-self.level.astype(np.float64)), 0.0)  # (B, K, S)
+        distance = np.abs(self.level - picks[..., None]) * (not anywhere)
+        self.distance = np.where(served, distance, 0) + outside[:, None] * NEVER
+        # The least distance of ranks r.. where their slack is at least s.
+        self.to_go = np.empty((ranks + 1, rows, len(slack)), dtype=np.int64)
+        self.to_go[ranks] = outside * NEVER
+        for rank in reversed(range(ranks)):
+            either = self.distance[:, rank] + self.to_go[rank + 1]
+            self.to_go[rank] = np.minimum.accumulate(either[:, ::-1], axis=1)[:, ::-1]
+
+    def nearest(
+        self, excess: int, least_gap: NDArray[np.float64] | None
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """The nearest combination of each row, if one is at most ``excess`` above the least.
+
+        The tables hold the least total power by gate and by 1 + e, where e is by how much the
+        distance so far, with the least one still to go, is above the row's least; place 0 is inf.
+        """
+        rows, ranks, slacks = self.distance.shape
+        start = self.to_go[0] - self.to_go[0, :, :1]
+        gate = np.where(np.arange(-1, excess + 1) == start[..., None], 0.0, np.inf)
+        gate[..., 0] = np.inf
+        taken = np.zeros((ranks, rows, slacks, excess + 2), dtype=np.int16)
+        for rank in range(ranks):
+            power = self.power[:, rank, :, None]
+            total = _later(gate, self._detour(rank))
+            if rank and least_gap is not None:
+                gap = np.where(self.served[:, rank], least_gap[:, rank - 1], -np.inf)
+                total = np.where(power - total >= gap[:, None, None], total, np.inf)
+            gate = total + power
+            self._open(gate, taken[rank], self.to_go[rank + 1])
+        return self._trace(gate, taken)
+
+    def _detour(self, rank: int) -> NDArray[np.int64]:
+        """By how much each slack at a rank is above the best one from its gate on, (B, S)."""
+        return self.distance[:, rank] + self.to_go[rank + 1] - self.to_go[rank]
+
+    @staticmethod
+    def _open(
+        gate: NDArray[np.float64], taken: NDArray[np.int16], to_go: NDArray[np.int64]
+    ) -> None:
+        """Turns a table by slack into one by gate, in place, and notes which slack is taken."""
+        steps = np.diff(to_go, axis=1)
+        taken[:] = np.arange(gate.shape[1])[:, None]
+        for slack in range(1, gate.shape[1]):
+            place = _places(gate.shape[-1], steps[:, slack - 1])
+            carried = np.take_along_axis(gate[:, slack - 1], place, axis=-1)
+            less = carried < gate[:, slack]
+            np.copyto(gate[:, slack], carried, where=less)
+            source = np.take_along_axis(taken[:, slack - 1], place, axis=-1)
+            np.copyto(taken[:, slack], source, where=less)
+
+    def _trace(
+        self, gate: NDArray[np.float64], taken: NDArray[np.int16]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Reads the nearest combination of each row back from the tables."""
+        rows, ranks = self.served.shape
+        row, slack = np.arange(rows), self.last
+        found = np.isfinite(gate[row, slack])
+        feasible, place = found.any(axis=-1), found.argmax(axis=-1)
+        chosen = np.zeros((rows, ranks), dtype=np.int64)
+        for rank in reversed(range(ranks)):
+            before, to_go = slack, self.to_go[rank + 1]
+            slack = taken[rank, row, before, place].astype(np.int64)
+            chosen[:, rank] = self.level[rank, slack]
+            place = place - (to_go[row, before] - to_go[row, slack])
+            place = np.maximum(place - self._detour(rank)[row, slack], 0)
+        return np.where(self.served & feasible[:, None], chosen, 0), feasible
+
+
+def _places(size: int, shift: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Where each entry of a table's last axis lies before a shift to the right; 0 if nowhere."""
+    return np.maximum(np.arange(size) - shift[..., None], 0)
+
+
+def _later(table: NDArray[np.float64], shift: NDArray[np.int64]) -> NDArray[np.float64]:
+    """A table shifted to the right along its last axis, filled with its entry 0."""
+    return np.take_along_axis(table, _places(table.shape[-1], shift), axis=-1)
 
 
 class Projection:

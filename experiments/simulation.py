@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shlex
 import time
@@ -11,6 +12,7 @@ from typing import Any
 from conf import Config, flower_clients, to_yaml
 from experiments.display import read_progress
 from experiments.flower import FlowerError, RunState, SimulationSuperLink, Status
+from server_app.recorder import report_failure, write_atomically
 
 POLL_S = 1.0
 LOG_NAME = "flower.log"
@@ -29,18 +31,30 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     Raises:
         FlowerError: Flower or the run failed; the message holds the end of the log.
     """
-    written = folder / "config.yaml"
-    written.write_text(to_yaml(config))
-    with SimulationSuperLink(log_path=folder / LOG_NAME) as superlink:
-        run_id = superlink.submit(
-            clients=flower_clients(config), overrides=shlex.quote(f"@{written}")
-        )
+    federation = dataclasses.replace(config.federation, clients=flower_clients(config))
+    config = dataclasses.replace(config, federation=federation)
+    write_atomically(folder / "config.yaml", to_yaml(config))
+    try:
+        _run(config, folder)
+    except BaseException as error:
+        report_failure(folder, error)
+        raise
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return summary
+
+
+def _run(config: Config, folder: Path) -> None:
+    """Hands the run to a SuperLink and waits for its end."""
+    superlink = SimulationSuperLink(
+        log_path=folder / LOG_NAME, start_timeout_s=config.runtime.start_timeout_s
+    )
+    with superlink:
+        written = shlex.quote(f"@{folder / 'config.yaml'}")
+        run_id = superlink.submit(clients=flower_clients(config), overrides=written)
         while not (status := superlink.status(run_id)).finished:
             time.sleep(POLL_S)
         if status.state is not RunState.COMPLETED:
             raise FlowerError(*_failure(folder, status, superlink.log_tail(run_id)))
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return summary
 
 
 def _failure(folder: Path, status: Status, log_tail: str) -> tuple[str, str]:

@@ -25,7 +25,7 @@ from env.link import LinkError
 from experiments import local, simulation
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
-from server_app.preflight import check, check_port, checked
+from server_app.preflight import check, check_address, checked
 from server_app.session import STOP_FILE
 
 INTERRUPTED = 130
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str]) -> int:
         if flags:
             return _train_all(overrides)
         config = checked(overrides)
-        check_port(config)
+        check_address(config)
         return train(config, new_folder(config))
     except (ConfigError, FlowerError, LinkError) as error:
         print(f"risfleet: {error}", file=sys.stderr)
@@ -142,8 +142,9 @@ class StopOnInterrupt:
 def _train_all(overrides: Sequence[str]) -> int:
     """Runs every combination of a sweep, all of them checked before the first one starts."""
     check_overrides(overrides, sweep=True)
+    hydra_keys = [item for item in overrides if item.startswith("hydra")]
     for combination in _combinations(overrides):
-        checked(combination)
+        checked([*combination, *hydra_keys])
     folder = next(
         (item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None
     )

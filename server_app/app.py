@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import shlex
 import time
 from pathlib import Path
-from typing import Any
 
 from flwr.app import Context
 from flwr.serverapp import Grid, ServerApp
 
-from conf import Config, ConfigError, fingerprint, flower_clients
+from conf import Config, ConfigError, fingerprint
 from env.link import LinkServer
-from server_app.preflight import checked, checked_yaml
+from server_app.preflight import check_address, checked, checked_yaml, default_concurrency
 from server_app.recorder import report_failure
 from server_app.rounds import FlowerFleet, wait_for_nodes
 from server_app.session import Session
 
-log = logging.getLogger(__name__)
-
 NODES_PATIENCE_S = 2.0
-DEFAULT_NODES = 2
 
 app = ServerApp()
 
@@ -32,16 +27,19 @@ def main(grid: Grid, context: Context) -> None:
     """Runs one training run on the clients that the federation has."""
     config = _config(str(context.run_config.get("overrides", "")))
     folder = Path(config.run.dir or f"runs/{time.strftime('%Y-%m-%d_%H-%M-%S')}").absolute()
+    if (folder / "metrics.csv").exists():
+        raise ConfigError.of([("run.dir", folder, "a folder that holds no run yet")])
+    print(f"run folder: {folder}", flush=True)
     try:
-        summary = _train(grid, config, folder)
+        _train(grid, config, folder)
     except Exception as error:
         report_failure(folder, error)
         raise
-    log.info("run folder %s, success %.3f", folder, summary["evaluation"]["eps05"]["success"])
 
 
-def _train(grid: Grid, config: Config, folder: Path) -> dict[str, Any]:
+def _train(grid: Grid, config: Config, folder: Path) -> None:
     """Deals the robots to the federation's nodes and trains with them."""
+    check_address(config)
     where = config.federation.link
     link = LinkServer(where.host, where.port, fingerprint=fingerprint(), timeout_s=where.timeout_s)
     try:
@@ -53,7 +51,7 @@ def _train(grid: Grid, config: Config, folder: Path) -> dict[str, Any]:
         )
         session = Session(config, folder)
         fleet = FlowerFleet(config, grid, link, nodes, session.initial_weights())
-        return session.train(fleet, fleet.costs)
+        session.train(fleet, fleet.costs)
     finally:
         link.close("the run has ended")
 
@@ -74,16 +72,17 @@ def _config(overrides: str) -> Config:
 
 
 def _nodes(grid: Grid, config: Config) -> list[int]:
-    """The nodes to use: as many as ``federation.clients`` says, else what the federation has.
+    """The nodes to use: as many as ``federation.clients`` says, else what the federation can run.
 
-    A federation's nodes join one after the other, so those there after a short patience count,
-    at most one a robot.
+    A federation's nodes join one after the other, so those there after a short patience count, at
+    most one a robot, and no more than Flower's engine runs at once by its own default.
     """
     wanted = config.federation.clients
     if wanted is not None:
         return wait_for_nodes(grid, wanted, config.runtime.start_timeout_s)
+    most = min(config.env.robots, default_concurrency())
     wait_for_nodes(grid, 1, config.runtime.start_timeout_s)
     deadline = time.monotonic() + NODES_PATIENCE_S
-    while time.monotonic() < deadline and len(list(grid.get_node_ids())) < flower_clients(config):
+    while time.monotonic() < deadline and len(list(grid.get_node_ids())) < most:
         time.sleep(0.1)
-    return sorted(grid.get_node_ids())[: config.env.robots]
+    return sorted(grid.get_node_ids())[:most]

@@ -103,22 +103,20 @@ class Coordinator:
         model, final = initial, False
         self._world.reset()
         self._tally = EpisodeTally(self._world)
-        robots = np.repeat(model[None], self._world.robots, axis=0)
         while not final:
             self.progress.window += 1
             window = self.progress.window
             final = self._play_window(window)
             uploads = self._fleet.upload(window)
             if self._aggregator is None:
-                robots = shared = uploads
+                shared = uploads
             else:
                 model = self._aggregator.aggregate(window, model, uploads)
                 shared = model[None]
-                robots = np.repeat(shared, self._world.robots, axis=0)
                 if not final:
                     self._fleet.download(window, model)
             self._observer.on_window(self.progress, shared, self._ap.weights())
-        return robots
+        return np.array(np.broadcast_to(shared, (self._world.robots, *model.shape)))
 
     def _play_window(self, window: int) -> bool:
         """Plays the ticks of a window; returns whether the run ends with it."""

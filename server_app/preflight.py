@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import socket
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from server_app.strategies import problems as strategy_problems
 
 WORKERS_BEYOND_CORES = 4
 MOST_WORKERS = 32
+CORES_PER_CLIENT = 2
 
 
 def max_concurrent_clients() -> int:
@@ -20,8 +22,20 @@ def max_concurrent_clients() -> int:
     It uses a bare ``ThreadPoolExecutor``, which has min(32, cores + 4) workers. Robots in
     lockstep wait for each other, so one client more would never start.
     """
-    cores = getattr(os, "process_cpu_count", os.cpu_count)() or 1
-    return min(MOST_WORKERS, cores + WORKERS_BEYOND_CORES)
+    return min(MOST_WORKERS, _cores() + WORKERS_BEYOND_CORES)
+
+
+def default_concurrency() -> int:
+    """Clients that Flower's simulation engine runs at once if it is told nothing else.
+
+    It gives each client two cores. A run of ours that starts its own SuperLink asks for one core a
+    client and as many cores as clients instead.
+    """
+    return max(1, _cores() // CORES_PER_CLIENT)
+
+
+def _cores() -> int:
+    return getattr(os, "process_cpu_count", os.cpu_count)() or 1
 
 
 def check(config: Config) -> Config:
@@ -59,17 +73,25 @@ def checked_yaml(text: str) -> Config:
     return check(from_yaml(text))
 
 
-def check_port(config: Config) -> None:
-    """Checks that the link's port, where one is given, is free.
+def check_address(config: Config) -> None:
+    """Checks that the link can listen where it is told to.
 
     Raises:
-        ConfigError: it is not.
+        ConfigError: the host is not this machine's loopback, or the port is in use.
     """
     where = config.federation.link
-    if config.runtime.name == "local" or not where.port:
+    if config.runtime.name == "local":
         return
     try:
-        socket.create_server((where.host, where.port)).close()
+        family, *_, address = socket.getaddrinfo(where.host, where.port, type=socket.SOCK_STREAM)[0]
+        loopback = ipaddress.ip_address(address[0]).is_loopback
+    except (OSError, ValueError, UnicodeError):
+        loopback = False
+    if not loopback:
+        allowed = "a loopback address such as 127.0.0.1: the link is not encrypted"
+        raise ConfigError.of([("federation.link.host", where.host, allowed)])
+    try:
+        socket.create_server((where.host, where.port), family=family).close()
     except OSError as error:
         allowed = f"a port that is free on {where.host}, or 0 for any ({error.strerror})"
         raise ConfigError.of([("federation.link.port", where.port, allowed)]) from error

@@ -52,18 +52,31 @@ CONVERGED = 0.9
 PROGRESS_PERIOD_S = 0.5
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Writes a text file so that a reader sees either the old or the new one."""
+def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
+    """Writes a text file so that a reader sees either the old or the new one.
+
+    Args:
+        path: the file.
+        text: all of it.
+        durable: whether it must outlast a crash of the machine.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text)
+    with temporary.open("w") as file:
+        file.write(text)
+        file.flush()
+        if durable:
+            os.fsync(file.fileno())
     temporary.replace(path)
 
 
 def report_failure(folder: Path, error: BaseException) -> None:
-    """Writes to a run's ``progress.json`` that it failed, and why."""
+    """Writes to a run's ``progress.json`` that it failed, and why; a first failure stands."""
     path = folder / "progress.json"
     status: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
-    status |= {"state": "failed", "message": f"{type(error).__name__}: {error}"}
+    if status.get("state") == "failed":
+        return
+    message = f"{type(error).__name__}: {error}"
+    status |= {"state": "failed", "message": message, "written_at": time.time()}
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(path, json.dumps(status))
 
@@ -143,7 +156,7 @@ class Recorder:
         self._written = 0.0
         self._ended: float | None = None
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "config.yaml").write_text(to_yaml(config))
+        write_atomically(folder / "config.yaml", to_yaml(config))
         self._metrics = _CsvLog(folder / "metrics.csv", METRICS)
         self._evaluations = _CsvLog(folder / "evaluations.csv", EVALUATIONS)
         self._events = _event_writer(folder) if config.run.tensorboard else None
@@ -208,6 +221,7 @@ class Recorder:
         status: dict[str, Any] = {
             "state": state,
             "message": message,
+            "written_at": time.time(),
             "tick": progress.tick,
             "window": progress.window,
             "episode": progress.episodes,
@@ -223,7 +237,7 @@ class Recorder:
             if self.history.evaluations
             else None,
         }
-        write_atomically(self.folder / "progress.json", json.dumps(status))
+        write_atomically(self.folder / "progress.json", json.dumps(status), durable=False)
 
     def close(self) -> None:
         """Flushes and closes what is open; safe to call again."""

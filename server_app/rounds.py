@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from conf import Config, robot_network, to_yaml, windows_per_round
 from env.link import LinkServer, LinkTimeout, Want
+from env.link.errors import named
 from server_app.session import Costs
 
 log = logging.getLogger(__name__)
@@ -27,7 +28,7 @@ POLL_S = 0.05
 TOKEN_BYTES = 32
 
 
-class FlowerError(RuntimeError):
+class RoundError(RuntimeError):
     """Flower could not do what the run needs; the message says what and where."""
 
 
@@ -52,7 +53,7 @@ def wait_for_nodes(grid: Grid, count: int, deadline_s: float) -> list[int]:
         The identities of ``count`` of them, in ascending order.
 
     Raises:
-        FlowerError: they did not come in time.
+        RoundError: they did not come in time.
     """
     deadline = time.monotonic() + deadline_s
     while True:
@@ -60,7 +61,7 @@ def wait_for_nodes(grid: Grid, count: int, deadline_s: float) -> list[int]:
         if len(nodes) >= count:
             return nodes[:count]
         if time.monotonic() > deadline:
-            raise FlowerError(
+            raise RoundError(
                 f"{len(nodes)} of {count} Flower clients were there after {deadline_s:g} s"
             )
         time.sleep(POLL_S)
@@ -154,14 +155,14 @@ class FlowerFleet:
         self._replies = {}
         sent = [name for name in self._grid.push_messages(messages) if name]  # None: refused
         if len(sent) != len(messages):
-            raise FlowerError(f"Flower took {len(sent)} of {len(messages)} messages")
+            raise RoundError(f"Flower took {len(sent)} of {len(messages)} messages")
         self._pending = dict(zip(sent, self._blocks, strict=True))
         self._model = None
         deadline_s = self._config.runtime.start_timeout_s
         try:
             self._link.wait_connected(deadline_s, self._collect)
         except LinkTimeout as error:
-            raise FlowerError(
+            raise RoundError(
                 f"round {self._round}: {error}; a Flower client never started: does the"
                 f" federation run {len(self._blocks)} clients at once?"
             ) from error
@@ -180,7 +181,6 @@ class FlowerFleet:
                 "tokens": [tokens[robot] for robot in block],
                 "host": host,
                 "port": port,
-                "round": self._round,
                 "window": self._base,
             }
         )
@@ -196,14 +196,14 @@ class FlowerFleet:
         """Takes the replies that have come.
 
         Raises:
-            FlowerError: a client failed, or ended before the round did.
+            RoundError: a client failed.
         """
         missing = [sent for sent, node in self._pending.items() if node not in self._replies]
         for reply in self._grid.pull_messages(missing):
             node = self._pending[reply.metadata.reply_to_message_id]
             if reply.has_error():
-                raise FlowerError(
-                    f"round {self._round}: the Flower client of {_named(self._blocks[node])}"
+                raise RoundError(
+                    f"round {self._round}: the Flower client of {named(self._blocks[node])}"
                     f" failed: {reply.error.reason}"
                 )
             self._replies[node] = reply
@@ -218,8 +218,8 @@ class FlowerFleet:
                 break
             if time.monotonic() > deadline:
                 late = [self._blocks[n] for n in self._blocks if n not in self._replies]
-                raise FlowerError(
-                    f"round {self._round}: no reply from {'; '.join(map(_named, late))}"
+                raise RoundError(
+                    f"round {self._round}: no reply from {'; '.join(map(named, late))}"
                 )
             time.sleep(POLL_S)
         uploads = np.empty((self._config.env.robots, *self._shape), dtype=np.float32)
@@ -227,8 +227,8 @@ class FlowerFleet:
             block = self._blocks[node]
             weights = reply.content.array_records["arrays"]["robots"].numpy()
             if weights.shape != (len(block), *self._shape) or weights.dtype != np.float32:
-                raise FlowerError(
-                    f"round {self._round}: {_named(block)} sent {weights.dtype}{weights.shape}"
+                raise RoundError(
+                    f"round {self._round}: {named(block)} sent {weights.dtype}{weights.shape}"
                 )
             uploads[list(block)] = weights
             self._flower_bytes += weights.nbytes
@@ -238,7 +238,3 @@ class FlowerFleet:
         self._pending = {}
         self._flower_s += time.perf_counter() - began
         return uploads
-
-
-def _named(block: Sequence[int]) -> str:
-    return f"robot{'s' if len(block) > 1 else ''} {', '.join(map(str, block))}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -195,6 +196,8 @@ def save_weights(path: Path, robots: NDArray[np.float32], ap: NDArray[np.float32
     """Writes the final weights: ``robots`` (K, 2, P) and ``ap`` (2, P_AP), online then target."""
     temporary = path.with_name(f".{path.name}")
     save_file({"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}, temporary)
+    with temporary.open("rb") as file:
+        os.fsync(file.fileno())
     temporary.replace(path)
 
 

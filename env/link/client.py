@@ -3,7 +3,6 @@
 import logging
 import socket
 import ssl
-import struct
 import time
 from collections.abc import Sequence
 
@@ -44,6 +43,7 @@ def serve(
     fingerprint: str,
     timeout_s: float,
     n_parameters: int,
+    patience_s: float | None = None,
     client_context: ssl.SSLContext | None = None,
 ) -> None:
     """Serve one round: returns once the handler has taken the step that wants a FAREWELL.
@@ -54,14 +54,16 @@ def serve(
         tokens: a secret for each of them, in the same order.
         handler: the robots.
         fingerprint: of the software; the server must have the same.
-        timeout_s: the longest wait for the server, in s.
+        timeout_s: the longest wait for a connection and a welcome, in s.
         n_parameters: P, of one network.
+        patience_s: the longest silence after that, in s; `timeout_s` if None. The server is silent
+            while other clients join and while it evaluates; if it dies, that is noticed at once.
         client_context: for TLS; none, no TLS.
 
     Raises:
         Refused: the server does not let this client in.
         ServerLost: the server has gone, or never came.
-        LinkTimeout: the server has said nothing for `timeout_s`.
+        LinkTimeout: the server has said nothing for that long.
         FrameError: the server has said what it must not.
     """
     hello = encode(Hello(VERSION, fingerprint, list(robots), list(tokens)))
@@ -69,12 +71,14 @@ def serve(
     try:
         limit = max(TEXT_SIZE, step_size(len(robots)), weights_size((2, n_parameters)))
         line = _Line(Wire(sock, limit), timeout_s)
+        line.wait_up_to(timeout_s)
         line.say(hello)
         answer = line.hear()
         if isinstance(answer, RefusedMessage):
             raise Refused(answer.reason)
         if not isinstance(answer, Welcome):
             raise FrameError(f"{type(answer).__name__} where a welcome is due")
+        line.wait_up_to(timeout_s if patience_s is None else patience_s)
         try:
             _converse(line, handler, len(robots), n_parameters)
         except ServerLost:
@@ -92,6 +96,11 @@ class _Line:
     def __init__(self, wire: Wire, timeout_s: float) -> None:
         """A line over a socket that has this timeout."""
         self.wire, self._timeout_s = wire, timeout_s
+
+    def wait_up_to(self, timeout_s: float) -> None:
+        """Bear this much silence from now on."""
+        self._timeout_s = timeout_s
+        self.wire.set_timeout(timeout_s)
 
     def hear(self) -> Message:
         """The server's next message; its arrays are the caller's to keep."""
@@ -161,11 +170,6 @@ def _connected(
     sock.settimeout(timeout_s)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     if context is None:
-        # The kernel keeps the deadline: a socket with a timeout would be polled before each call.
-        limit = struct.pack("ll", int(timeout_s), min(999_999, int(timeout_s % 1 * 1e6) + 1))
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
-        sock.settimeout(None)
         return sock
     try:
         return context.wrap_socket(sock, server_hostname=address[0])

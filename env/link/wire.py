@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import ssl
+import struct
 
 import numpy as np
 
@@ -82,6 +83,17 @@ class Wire:
                 self._sock.sendall(memoryview(frame)[sent:])
             finally:
                 self._sock.settimeout(before)
+
+    def set_timeout(self, timeout_s: float) -> None:
+        """Wait this long at most from now on, in `receive` and `send`."""
+        if isinstance(self._sock, ssl.SSLSocket):
+            self._sock.settimeout(timeout_s)
+            return
+        # The kernel keeps the deadline: a socket with a timeout would be polled before each call.
+        limit = struct.pack("ll", int(timeout_s), min(999_999, int(timeout_s % 1 * 1e6) + 1))
+        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+        self._sock.settimeout(None)
 
     def finish(self, frame: bytes, linger_s: float) -> None:
         """Send a last frame, if the peer still takes it, and close.

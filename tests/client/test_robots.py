@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flwr.app import ConfigRecord, Context, RecordDict
+from flwr.app import ConfigRecord
 from numpy.typing import NDArray
 
 from agent import CheckpointError, checkpoints
-from client_app.app import Order, state_folder
+from client_app.app import Order
 from client_app.robots import RobotGroup
 from client_app.state import load_state, robot_folder, save_state
 from conf import Config, robot_network, to_yaml
@@ -206,17 +206,8 @@ def test_an_order_is_read_as_it_was_written(tiny: Tiny) -> None:
             "tokens": ["a", "b"],
             "host": "127.0.0.1",
             "port": 4711,
-            "round": 3,
             "window": 20,
         }
     )
     order = Order.read(record)
     assert order == Order(config, (1, 2), ["a", "b"], ("127.0.0.1", 4711), 20)
-
-
-def test_state_lies_where_the_node_says_or_in_the_run_folder(tiny: Tiny, tmp_path: Path) -> None:
-    config = tiny({"run.dir": str(tmp_path)})
-    plain = Context(1, 1, {}, RecordDict(), {})
-    chosen = Context(1, 1, {"state-dir": str(tmp_path / "mine")}, RecordDict(), {})
-    assert state_folder(config, plain) == tmp_path / "state"
-    assert state_folder(config, chosen) == tmp_path / "mine"

@@ -228,11 +228,8 @@ def test_flowers_own_command_ends_in_the_same_bits(
     overrides = " ".join(with_changes(tiny_overrides, *changes))
     config.write_text(f"overrides = {json.dumps(overrides)}\n")
     command = [str(Path(sysconfig.get_path("scripts"), "flwr")), "run", "."]
-    # Both of the federation's nodes at once, also on a machine with two cores.
-    federation = "client-resources-num-cpus=1 init-args-num-cpus=2"
-    options = ["--run-config", str(config), "--federation-config", federation]
     told = subprocess.run(
-        [*command, *options],
+        [*command, "--run-config", str(config)],
         cwd=project,
         env=flwr_home,
         capture_output=True,
@@ -328,7 +325,7 @@ def test_a_link_port_that_is_taken_after_the_check_fails_the_run_by_its_number(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("experiments.train.check_port", lambda config: None)
+    monkeypatch.setattr("experiments.train.check_address", lambda config: None)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert train("run", "runtime=simulation", f"federation.link.port={port}") == 1

@@ -29,7 +29,7 @@ from client_app.state import robot_folder
 from conf import Config, robot_network
 from env.link import LinkError, LinkServer, serve
 from env.seeding import Stream, stream
-from server_app.rounds import FlowerError, FlowerFleet, deal, wait_for_nodes
+from server_app.rounds import FlowerFleet, RoundError, deal, wait_for_nodes
 
 Tiny = Callable[..., Config]
 Play = Callable[..., Any]
@@ -158,7 +158,7 @@ def test_nodes_are_taken_in_the_order_of_their_numbers() -> None:
 
 
 def test_a_federation_that_stays_too_small_is_an_error() -> None:
-    with pytest.raises(FlowerError, match=r"2 of 3 Flower clients were there after 0\.1 s"):
+    with pytest.raises(RoundError, match=r"2 of 3 Flower clients were there after 0\.1 s"):
         wait_for_nodes(cast(Grid, FakeGrid(2)), 3, 0.1)
 
 
@@ -280,7 +280,7 @@ def test_a_robot_whose_state_is_gone_fails_the_run_by_name(
         return train(message, context)
 
     fleet = make_fleet(config, FakeGrid(2, {1: forgetful}))
-    with pytest.raises(FlowerError, match=r"round 2: .* robot 2 failed: .*no checkpoint"):
+    with pytest.raises(RoundError, match=r"round 2: .* robot 2 failed: .*no checkpoint"):
         play(config, fleet=fleet)
 
 
@@ -300,7 +300,7 @@ def test_a_client_that_fails_at_its_start_is_named_with_its_reason(
 ) -> None:
     config = on_flower()
     with pytest.raises(
-        FlowerError, match=r"round 1: the Flower client of robots 0, 1 failed: OSError: no space"
+        RoundError, match=r"round 1: the Flower client of robots 0, 1 failed: OSError: no space"
     ):
         play(config, fleet=make_fleet(config, FakeGrid(2, {0: broken})))
 
@@ -309,7 +309,7 @@ def test_a_client_that_never_connects_is_named_at_the_deadline(
     on_flower: Tiny, make_fleet: Callable[..., FlowerFleet], play: Play
 ) -> None:
     config = on_flower({"runtime.start_timeout_s": 0.5})
-    with pytest.raises(FlowerError, match=r"round 1: .*robot 2.*does the federation run 2"):
+    with pytest.raises(RoundError, match=r"round 1: .*robot 2.*does the federation run 2"):
         play(config, fleet=make_fleet(config, FakeGrid(2, {1: silent})))
 
 
@@ -321,7 +321,7 @@ def test_a_client_that_serves_and_never_replies_is_named_at_the_deadline(
     def mute(message: Message, context: Context) -> None:
         train(message, context)
 
-    with pytest.raises(FlowerError, match="round 1: no reply from robots 0, 1"):
+    with pytest.raises(RoundError, match="round 1: no reply from robots 0, 1"):
         play(config, fleet=make_fleet(config, FakeGrid(2, {0: mute})))
 
 
@@ -338,7 +338,7 @@ def test_weights_of_a_wrong_shape_or_type_are_refused_by_name(
         content = RecordDict({"arrays": arrays, "metrics": MetricRecord({"cpu_s": 0.0})})
         return Message(content, reply_to=message)
 
-    with pytest.raises(FlowerError, match=r"round 1: robot 2 sent float(32|64)\(1, 2, \d+\)"):
+    with pytest.raises(RoundError, match=r"round 1: robot 2 sent float(32|64)\(1, 2, \d+\)"):
         play(config, fleet=make_fleet(config, FakeGrid(2, {1: crooked})))
 
 
@@ -371,7 +371,7 @@ def test_a_client_of_another_build_is_refused(
         serve(*given, cast(Any, None), fingerprint="old", timeout_s=5, n_parameters=1)
         raise AssertionError("it was let in")
 
-    with pytest.raises(FlowerError, match=r"robot 2 failed: Refused: .*old"):
+    with pytest.raises(RoundError, match=r"robot 2 failed: Refused: .*old"):
         play(config, fleet=make_fleet(config, FakeGrid(2, {1: outdated})))
 
 
@@ -384,5 +384,5 @@ def test_a_grid_that_does_not_take_every_message_is_an_error(
             return names
 
     config = on_flower()
-    with pytest.raises(FlowerError, match=f"Flower took {names.count('0')} of 2 messages"):
+    with pytest.raises(RoundError, match=f"Flower took {names.count('0')} of 2 messages"):
         play(config, fleet=make_fleet(config, Full(2)))

@@ -1,0 +1,86 @@
+"""What is allowed in a configuration, beyond the types of its schema."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from agent.config import problems as agent_problems
+from conf.schema import Config
+from env.config import Problem
+from env.config import problems as env_problems
+from env.seeding import Stream, stream
+from env.world import draw_destinations
+
+RUNTIMES = ("local", "simulation")
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from ``low``, to ``high`` where there is one; or null where that has a meaning."""
+
+    low: float
+    high: float | None = None
+    null: bool = False
+
+    def holds(self, value: Any) -> bool:
+        """Whether a value is allowed."""
+        if value is None:
+            return self.null
+        return bool(value >= self.low and (self.high is None or value <= self.high))
+
+    def __str__(self) -> str:
+        """What is allowed, in words."""
+        bounds = f"of at least {self.low:.15g}"
+        if self.high is not None:
+            bounds = f"from {self.low:.15g} to {self.high:.15g}"
+        return f"a number {bounds}" + (", or null" if self.null else "")
+
+
+SECONDS = Range(0.1, 86_400)
+RANGES = {
+    "seed": Range(0),
+    "train.episodes": Range(1),
+    "train.max_ticks": Range(1, null=True),
+    "federation.every": Range(1, 1_000_000),
+    "federation.windows_per_round": Range(1, null=True),
+    "federation.link.port": Range(0, 65_535),
+    "federation.link.timeout_s": SECONDS,
+    "federation.link.patience_s": SECONDS,
+    "runtime.start_timeout_s": SECONDS,
+    "evaluation.every": Range(1),
+    "evaluation.episodes": Range(1, 100_000),
+    "evaluation.epsilon": Range(0, 1),
+}
+
+
+def problems(config: Config) -> list[Problem]:
+    """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
+    found = [*_run_problems(config), *env_problems(config.env), *agent_problems(config.agent)]
+    return found or _destination_problems(config)
+
+
+def _run_problems(config: Config) -> list[Problem]:
+    robots, clients = config.env.robots, config.federation.clients
+    found: list[Problem] = []
+    if config.runtime.name not in RUNTIMES:
+        found.append(("runtime.name", config.runtime.name, f"one of {', '.join(RUNTIMES)}"))
+    for key, allowed in RANGES.items():
+        value: Any = config
+        for name in key.split("."):
+            value = getattr(value, name)
+        if not allowed.holds(value):
+            found.append((key, value, str(allowed)))
+    if clients is not None and not 1 <= clients <= robots:
+        say = f"a number from 1 to env.robots={robots}, or null"
+        found.append(("federation.clients", clients, say))
+    return found
+
+
+def _destination_problems(config: Config) -> list[Problem]:
+    """Whether the floor holds the destinations that are drawn; that depends on the seed."""
+    try:
+        draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
+    except ValueError as error:
+        return [("env.robots", config.env.robots, f"fewer, or closer destinations: {error}")]
+    return []
