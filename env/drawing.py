@@ -92,6 +92,22 @@ def draw_ways(axes: Axes, ways_m: NDArray[np.float64], destinations_m: NDArray[n
         axes.plot(*goal, "*", color=colour, markersize=15, mec="black", zorder=4)
 
 
+def draw_misses(
+    axes: Axes, ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]
+) -> None:
+    """Draws a cross where a robot ended that did not arrive; both of shape (K, 2)."""
+    for robot in np.flatnonzero(missed(ends_m, destinations_m)):
+        colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+        axes.plot(*ends_m[robot], "X", color=colour, markersize=10, mec="black", zorder=5)
+
+
+def missed(
+    ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which ends, shape (..., K, 2), are not at the destinations, shape (K, 2); shape (..., K)."""
+    return np.asarray(~np.isclose(ends_m, destinations_m).all(axis=-1))
+
+
 def trajectory_figure(
     config: EnvConfig,
     radio_map: RadioMap,
@@ -117,15 +133,16 @@ def trajectory_figure(
     for index, axes in enumerate(panels):
         image = draw_floor(axes, config, radio_map)
         draw_ways(axes, ways_m[:, index], destinations_m)
+        draw_misses(axes, ways_m[-1, index], destinations_m)
         axes.set_title(titles[index], fontsize=10)
         if index:
             axes.set_ylabel("")
     figure.colorbar(image, ax=panels, label="channel gain, best phase (dB)", shrink=0.8)
-    handles = [
-        _handle(marker, label)
-        for marker, label in (("o", "start"), ("*", "destination"), ("^", "AP"), ("s", "RIS"))
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    marks = [("o", "start"), ("*", "destination"), ("^", "AP"), ("s", "RIS")]
+    if missed(ways_m[-1], destinations_m).any():
+        marks.insert(2, ("X", "did not arrive"))
+    handles = [_handle(marker, label) for marker, label in marks]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(marks), frameon=False)
     return figure
 
 

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from env.drawing import draw_floor, draw_ways
+from env.drawing import ROBOT_COLOURS, draw_floor, draw_ways
 from env.world import World
 
 
@@ -36,7 +36,9 @@ class Picture:
         axes, still = self._axes, len(self._axes.lines)
         self._canvas.restore_region(self._floor)
         draw_ways(axes, ways_m, goals_m)
-        axes.plot(*ways_m[-1].T, "o", color="white", mec="black", markersize=7, zorder=5)
+        for robot, place in enumerate(ways_m[-1]):
+            colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+            axes.plot(*place, "o", color=colour, mec="black", markersize=7, zorder=5)
         axes.title.set_text(title)
         axes.draw_artist(axes.title)
         for line in sorted(axes.lines[still:], key=lambda line: line.get_zorder()):

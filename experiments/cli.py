@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 
 USAGE = """\
 usage: risfleet COMMAND ...
@@ -12,6 +13,8 @@ usage: risfleet COMMAND ...
   evaluate RUN [options]     play a run's frozen weights on held-out starts
   status RUN                 where a run is
 
+  COMMAND --help             what a command takes; --version prints the version
+
 Examples:
   risfleet train experiment=quick
   risfleet train env.robots=4 seed=1 runtime=local
@@ -19,6 +22,26 @@ Examples:
   risfleet evaluate runs/NAME --episodes 200
 
 Keys and their defaults: risfleet train --cfg"""
+
+TRAIN_USAGE = """\
+usage: risfleet train [-m | --cfg] [KEY=VALUE ...]
+
+Trains a fleet and writes a run folder.
+
+  KEY=VALUE        sets a key, such as env.robots=4, or a group, such as experiment=quick
+  -m, --multirun   runs every combination of the values given as KEY=A,B,...
+  --cfg            prints every key with its value and trains nothing
+  -h, --help       prints this"""
+
+STATUS_USAGE = """\
+usage: risfleet status RUN
+
+Says where the run in the folder RUN is.
+
+  -h, --help       prints this"""
+
+_USAGES = {"train": TRAIN_USAGE, "status": STATUS_USAGE}
+"""Of the commands that do not print their own."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,6 +57,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not given or given[0] in ("-h", "--help", "help"):
         print(USAGE)
         return 0 if given else 2
+    if given[0] == "--version":
+        print(f"risfleet {version('risfleet')}")
+        return 0
     name, rest = given[0], given[1:]
     command = _COMMANDS.get(name)
     if command is None:
@@ -41,6 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"risfleet: {name!r} is no command: there are {', '.join(_COMMANDS)}", file=sys.stderr
         )
         return 2
+    if name in _USAGES and not {"-h", "--help"}.isdisjoint(rest):
+        print(_USAGES[name])
+        return 0
     try:
         return command(rest)
     except KeyboardInterrupt:

@@ -18,6 +18,7 @@ from server_app.recorder import MEASURES
 
 POLL_S = 0.5
 LINE_PERIOD_S = 10.0
+RUNNING = ("starting", "training", "finishing")
 LABELS = {
     "success": "success",
     "path_ratio": "path ratio",
@@ -32,7 +33,9 @@ assert set(LABELS) == set(MEASURES)
 
 
 _NOTHING_YET: dict[str, Any] = {
+    "state": "unknown",
     "message": "",
+    "written_at": None,
     "tick": 0,
     "episode": 0,
     "episodes": 1,
@@ -44,7 +47,7 @@ _NOTHING_YET: dict[str, Any] = {
     "success": None,
     "evaluated": None,
 }
-"""What a run that failed before its first tick could not say."""
+"""What a run that failed before its first tick could not say, and a damaged file does not."""
 
 
 def read_progress(folder: Path) -> dict[str, Any] | None:
@@ -54,6 +57,13 @@ def read_progress(folder: Path) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return _NOTHING_YET | written if isinstance(written, dict) else None
+
+
+def silent_s(status: dict[str, Any]) -> float | None:
+    """Seconds since a run last wrote; None if it has ended, or wrote no time."""
+    if status["state"] not in RUNNING or not isinstance(status["written_at"], int | float):
+        return None
+    return max(time.time() - status["written_at"], 0.0)
 
 
 def share_done(status: dict[str, Any]) -> float:

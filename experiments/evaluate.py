@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
+import math
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,14 +32,11 @@ def main(arguments: Sequence[str]) -> int:
     try:
         config = _read_config(folder)
         robots, ap = read_weights(folder, config)
-        if given.json and not Path(given.json).absolute().parent.is_dir():
-            raise ConfigError(f"--json {given.json}: allowed is a file in a folder that exists.")
+        _check_place(given.json)
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
-    if given.seed is not None:
-        config = dataclasses.replace(config, seed=given.seed)
-    results = evaluate(config, robots, ap, given.episodes, given.epsilon or EPSILONS)
+    results = evaluate(config, robots, ap, given.episodes, given.epsilon or EPSILONS, given.seed)
     title = f"{folder}: {given.episodes or config.evaluation.episodes} held-out episodes"
     Console().print(evaluation_table(title, results))
     if given.json:
@@ -52,21 +50,23 @@ def evaluate(
     ap: NDArray[np.float32],
     episodes: int | None,
     epsilons: Sequence[float],
+    starts_seed: int | None = None,
 ) -> dict[str, dict[str, float]]:
     """Plays frozen weights.
 
     Args:
-        config: the run's configuration; its seed picks the held-out starts.
+        config: the run's configuration.
         robots: online weights of each robot, shape (K, P).
         ap: online weights of the access point, shape (P_AP,).
         episodes: how many; ``config.evaluation.episodes`` if None.
         epsilons: explorations to play with.
+        starts_seed: picks the held-out starts and the exploration; the run's seed if None.
 
     Returns:
         From a column's name to its measures.
     """
     single_threaded()
-    evaluator = Evaluator(config, episodes=episodes)
+    evaluator = Evaluator(config, episodes=episodes, starts_seed=starts_seed)
     measures = evaluator.play(robots, ap, epsilons)
     return {
         f"eps = {epsilon:g}": found.summary()
@@ -87,6 +87,8 @@ def read_weights(folder: Path, config: Config) -> tuple[NDArray[np.float32], NDA
         raise ConfigError(f"{path} is missing: has the run ended?") from error
     except SafetensorError as error:
         raise ConfigError(f"{path} is damaged: {error}.") from error
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror or error}.") from error
     expected = {
         "robots": (config.env.robots, 2, robot_network(config).parameters),
         "ap": (2, ap_network(config).parameters),
@@ -106,6 +108,17 @@ def _read_config(folder: Path) -> Config:
         raise ConfigError(f"{folder} is no run folder: {path.name} cannot be read.") from error
 
 
+def _check_place(file: str | None) -> None:
+    """Finds a place where no file can be written before anything is played."""
+    if file is None:
+        return
+    path = Path(file)
+    if not file or path.is_dir() or not path.absolute().parent.is_dir():
+        raise ConfigError(f"--json {file}: allowed is a file in a folder that exists.")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise ConfigError(f"--json {file}: allowed is a file in a folder that can be written to.")
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet evaluate", description=__doc__)
     parser.add_argument("run", help="the run's folder")
@@ -121,21 +134,25 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text}: allowed is a number of at least 1")
-    return value
+    return int(_number(text, int, 1, math.inf, "a whole number of at least 1"))
 
 
 def _not_negative(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: allowed is a number of at least 0")
-    return value
+    return int(_number(text, int, 0, math.inf, "a whole number of at least 0"))
 
 
 def _share(text: str) -> float:
-    value = float(text)
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text}: allowed is a number from 0 to 1")
+    return _number(text, float, 0, 1, "a number from 0 to 1")
+
+
+def _number(
+    text: str, kind: Callable[[str], float], low: float, high: float, allowed: str
+) -> float:
+    """Reads a number for argparse, which would name the function that fails with ValueError."""
+    try:
+        value = kind(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text}: allowed is {allowed}")
     return value

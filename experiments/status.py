@@ -8,8 +8,12 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-from experiments.display import describe, read_progress
+from experiments.display import describe, read_progress, silent_s
+
+SILENT_S = 10.0
+"""A run that writes nothing for longer may have died."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -26,6 +30,9 @@ def main(arguments: Sequence[str]) -> int:
     for name, text in describe(status):
         table.add_row(name or "state", text)
     if status["message"]:
-        table.add_row("message", status["message"])
+        table.add_row("message", Text(str(status["message"])))
+    silence = silent_s(status)
+    if silence is not None and silence > SILENT_S:
+        table.add_row("last heard", f"{silence:.0f} s ago")
     Console().print(table)
     return 0

@@ -27,17 +27,22 @@ class Evaluator:
         config: the run's configuration.
         radio_map: tables to share; built if None.
         episodes: how many; ``config.evaluation.episodes`` if None.
+        starts_seed: seed of the evaluation stream, the run's if None; destinations stay the run's.
     """
 
     def __init__(
-        self, config: Config, radio_map: RadioMap | None = None, episodes: int | None = None
+        self,
+        config: Config,
+        radio_map: RadioMap | None = None,
+        episodes: int | None = None,
+        starts_seed: int | None = None,
     ) -> None:
         self.episodes = episodes or config.evaluation.episodes
-        self._seed = config.seed
+        self._seed = config.seed if starts_seed is None else starts_seed
         self._levels = config.env.power.levels
         self._robot, self._ap = robot_network(config), ap_network(config)
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-        generator = stream(config.seed, Stream.EVALUATION)
+        generator = stream(self._seed, Stream.EVALUATION)
         self.world = World(config.env, destinations, generator, self.episodes, radio_map)
         self._starts = self.world.draw_starts(self.episodes)
 

@@ -57,7 +57,9 @@ def learning_curve(
         label=f"frozen, held-out starts, eps = {epsilon:g}",
     )
     bottom.set(xlabel="training episode", ylabel="robots that arrive", ylim=(-0.02, 1.05))
-    bottom.legend(loc="lower right", frameon=False)
+    bottom.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=2, frameon=False
+    )
     for axes in (top, bottom):
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)

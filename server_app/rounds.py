@@ -181,6 +181,7 @@ class FlowerFleet:
                 "tokens": [tokens[robot] for robot in block],
                 "host": host,
                 "port": port,
+                "round": self._round,
                 "window": self._base,
             }
         )

@@ -93,6 +93,31 @@ def test_with_margins_it_finds_the_nearest_one_that_keeps_them_or_none(case):
     assert project(picks, levels, gaps) == nearest(picks, levels, gaps)
 
 
+@given(problems())
+@settings(deadline=None, max_examples=100)
+def test_a_search_that_widens_step_by_step_and_row_by_row_finds_the_same(case):
+    picks, levels, gaps = case
+    with mock.patch("env.power.FIRST_EXCESS", 1), mock.patch("env.power.MAX_CELLS", 1):
+        assert project(picks, levels, gaps) == nearest(picks, levels, gaps)
+
+
+def test_as_many_robots_and_levels_as_are_allowed_are_within_reach():
+    generator = np.random.default_rng(0)
+    picks = generator.integers(1, 49, size=(100, 48))
+    count = generator.integers(0, 49, size=100)
+    gaps = 10.0 ** generator.uniform(-14, -2, size=(100, 47))
+    served = np.arange(48) < count[:, None]
+    for least_gap in (None, gaps):
+        found, feasible = project_levels(picks, count, 48, least_gap)
+        assert 0 < feasible.sum() <= 100
+        assert ((found > 0) == (served & feasible[:, None])).all()
+        falls = found[:, :-1] > found[:, 1:]
+        assert (falls | ~served[:, 1:])[feasible].all()
+    power = fractions(found)
+    margin = power[:, 1:] - np.cumsum(power, axis=1)[:, :-1]
+    assert ((margin >= gaps) | ~served[:, 1:])[feasible].all()
+
+
 @pytest.mark.parametrize(("robots", "levels"), [(2, 6), (3, 6), (4, 6)])
 def test_every_pick_of_the_papers_settings_goes_to_its_nearest_combination(robots, levels):
     grid = np.stack(np.meshgrid(*[np.arange(1, levels + 1)] * robots), axis=-1)

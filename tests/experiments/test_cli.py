@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import shutil
 import socket
+import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -55,6 +57,27 @@ def test_no_command_shows_the_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     assert main(["--help"]) == 0
     assert capsys.readouterr().out.count("usage: risfleet COMMAND") == 2
+
+
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+@pytest.mark.parametrize("name", ["train", "status"])
+def test_each_command_shows_its_usage(
+    name: str, flag: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([name, flag]) == 0
+    assert capsys.readouterr().out.startswith(f"usage: risfleet {name} ")
+
+
+def test_evaluate_shows_its_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["evaluate", "--help"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith("usage: risfleet evaluate ")
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"risfleet {version('risfleet')}\n"
 
 
 @pytest.mark.parametrize(
@@ -235,8 +258,27 @@ def test_evaluate_refuses_weights_of_another_size(refused: Refused, copied: Path
 def test_evaluate_refuses_a_place_for_json_that_is_not_there(
     refused: Refused, copied: Path, tmp_path: Path
 ) -> None:
-    said = refused("evaluate", str(copied), "--json", str(tmp_path / "missing" / "a.json"))
+    for place in (tmp_path / "missing" / "a.json", tmp_path):
+        said = refused("evaluate", str(copied), "--json", str(place))
+        assert_one_sentence(said)
+        assert f"--json {place}: allowed is a file" in said
+
+
+def test_evaluate_refuses_a_folder_in_place_of_weights(refused: Refused, copied: Path) -> None:
+    (copied / "weights.safetensors").unlink()
+    (copied / "weights.safetensors").mkdir()
+    said = refused("evaluate", str(copied))
     assert_one_sentence(said)
+    assert "weights.safetensors" in said
+
+
+def test_another_seed_plays_other_starts(tiny_run: Path, tmp_path: Path) -> None:
+    written = []
+    for seed in ("0", "0", "5"):
+        out = tmp_path / "measures.json"
+        assert main(["evaluate", str(tiny_run), "--seed", seed, "--json", str(out)]) == 0
+        written.append(json.loads(out.read_text()))
+    assert written[0] == written[1] != written[2]
 
 
 @pytest.mark.parametrize(
@@ -251,6 +293,7 @@ def test_evaluate_refuses_options_out_of_range(
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert "Traceback" not in said
+    assert " _" not in said
     assert options[0] in said
 
 
@@ -286,3 +329,25 @@ def test_status_of_a_folder_without_a_run_is_one_sentence(refused: Refused, tmp_
 def test_status_of_a_damaged_run_is_one_sentence(refused: Refused, copied: Path, text: str) -> None:
     (copied / "progress.json").write_text(text)
     assert_one_sentence(refused("status", str(copied)))
+
+
+def test_status_of_a_run_that_says_nothing_is_unknown(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copied / "progress.json").write_text("{}")
+    assert main(["status", str(copied)]) == 0
+    assert "unknown" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("state", "silence_s", "shown"),
+    [("training", 60, True), ("starting", 60, True), ("training", 0, False), ("done", 60, False)],
+)
+def test_status_says_when_a_run_was_last_heard(
+    copied: Path, capsys: pytest.CaptureFixture[str], state: str, silence_s: float, shown: bool
+) -> None:
+    status = json.loads((copied / "progress.json").read_text())
+    status |= {"state": state, "written_at": time.time() - silence_s}
+    (copied / "progress.json").write_text(json.dumps(status))
+    assert main(["status", str(copied)]) == 0
+    assert ("last heard" in capsys.readouterr().out) == shown

@@ -93,6 +93,21 @@ def test_starts_are_held_out_and_the_same_for_every_number_of_calls(
     assert not np.array_equal(starts[0], other[0])
 
 
+def test_other_starts_keep_the_task(tiny: Tiny) -> None:
+    config = tiny({"env.robots": 6, "env.tasks.destinations_m": []})
+    run, other = Evaluator(config), Evaluator(config, starts_seed=7)
+    assert not np.array_equal(run.world.draw_starts(4), other.world.draw_starts(4))
+    np.testing.assert_array_equal(run.world.destinations, other.world.destinations)
+
+
+def test_a_seed_of_starts_that_is_the_runs_changes_nothing(tiny: Tiny, weights: Weights) -> None:
+    (expected,) = Evaluator(tiny()).play(*weights, (0.3,))
+    (found,) = Evaluator(tiny(), starts_seed=tiny().seed).play(*weights, (0.3,))
+    assert same(expected, found)
+    (found,) = Evaluator(tiny(), starts_seed=tiny().seed + 1).play(*weights, (0.3,))
+    assert not same(expected, found)
+
+
 def test_more_episodes_can_be_asked_for(tiny: Tiny, weights: Weights) -> None:
     (measures,) = Evaluator(tiny(), episodes=7).play(*weights, (0.05,))
     assert measures.success.shape == (7,)
