@@ -101,9 +101,7 @@ def draw_misses(
         axes.plot(*ends_m[robot], "X", color=colour, markersize=10, mec="black", zorder=5)
 
 
-def missed(
-    ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def missed(ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which ends, shape (..., K, 2), are not at the destinations, shape (K, 2); shape (..., K)."""
     return np.asarray(~np.isclose(ends_m, destinations_m).all(axis=-1))
 
@@ -128,7 +126,7 @@ def trajectory_figure(
         The figure.
     """
     count = len(titles)
-    figure = Figure(figsize=(4.6 * count + 0.9, 5.2), layout="constrained")
+    figure = Figure(figsize=(4.6 * count + 0.9, 5.2), layout="compressed")
     panels = figure.subplots(1, count, squeeze=False, sharey=True)[0]
     for index, axes in enumerate(panels):
         image = draw_floor(axes, config, radio_map)
@@ -137,7 +135,7 @@ def trajectory_figure(
         axes.set_title(titles[index], fontsize=10)
         if index:
             axes.set_ylabel("")
-    figure.colorbar(image, ax=panels, label="channel gain, best phase (dB)", shrink=0.8)
+    figure.colorbar(image, ax=panels, label="channel gain, best phase (dB)", pad=0.01)
     marks = [("o", "start"), ("*", "destination"), ("^", "AP"), ("s", "RIS")]
     if missed(ways_m[-1], destinations_m).any():
         marks.insert(2, ("X", "did not arrive"))

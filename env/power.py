@@ -158,7 +158,7 @@ class _Search:
 
     def _detour(self, rank: int) -> NDArray[np.int64]:
         """By how much each slack at a rank is above the best one from its gate on, (B, S)."""
-        return self.distance[:, rank] + self.to_go[rank + 1] - self.to_go[rank]
+        return np.asarray(self.distance[:, rank] + self.to_go[rank + 1] - self.to_go[rank])
 
     @staticmethod
     def _open(
@@ -195,7 +195,7 @@ class _Search:
 
 def _places(size: int, shift: NDArray[np.int64]) -> NDArray[np.int64]:
     """Where each entry of a table's last axis lies before a shift to the right; 0 if nowhere."""
-    return np.maximum(np.arange(size) - shift[..., None], 0)
+    return np.asarray(np.maximum(np.arange(size) - shift[..., None], 0))
 
 
 def _later(table: NDArray[np.float64], shift: NDArray[np.int64]) -> NDArray[np.float64]:

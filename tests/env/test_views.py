@@ -20,6 +20,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 import env
 from env import actions
 from env.config import EnvConfig, RisConfig
+from env.drawing import missed, trajectory_figure
 from env.parallel_env import AP, RISFleetParallelEnv, parallel_env
 from env.seeding import Stream, stream
 from env.single_robot import SingleRobotEnv
@@ -205,6 +206,21 @@ def test_views_draw_the_floor(view: Any) -> None:
     np.testing.assert_array_equal(made.render(), first)
     made.close()
     made.close()
+
+
+def test_only_a_robot_that_ends_elsewhere_is_marked_as_not_arrived() -> None:
+    world = parallel_env(config={"robots": 2}).world
+    goals = world.floor.centres()[world.destinations]
+    ways = np.stack([goals, goals])[:, None].repeat(2, axis=1)
+    ways[-1, 1, 0] += 1.0
+    assert missed(ways[-1], goals).tolist() == [[False, False], [True, False]]
+
+    def crosses(shown: Any) -> list[int]:
+        figure = trajectory_figure(world.config, world.radio_map, shown, goals, ["a", "b"])
+        return [sum(line.get_marker() == "X" for line in axes.lines) for axes in figure.axes[:2]]
+
+    assert crosses(ways) == [0, 1]
+    assert crosses(ways[:1]) == [0, 0]
 
 
 @pytest.mark.parametrize("view", [parallel_env, single], ids=["parallel", "single"])
