@@ -132,7 +132,7 @@ def trajectory_figure(
         image = draw_floor(axes, config, radio_map)
         draw_ways(axes, ways_m[:, index], destinations_m)
         draw_misses(axes, ways_m[-1, index], destinations_m)
-        axes.set_title(titles[index], fontsize=10)
+        axes.set_title(titles[index], fontsize=10, pad=9)
         if index:
             axes.set_ylabel("")
     figure.colorbar(image, ax=panels, label="channel gain, best phase (dB)", pad=0.01)

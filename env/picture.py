@@ -38,7 +38,7 @@ class Picture:
         draw_ways(axes, ways_m, goals_m)
         for robot, place in enumerate(ways_m[-1]):
             colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
-            axes.plot(*place, "o", color=colour, mec="black", markersize=7, zorder=5)
+            axes.plot(*place, "o", color=colour, mec="black", markersize=10, zorder=5)
         axes.title.set_text(title)
         axes.draw_artist(axes.title)
         for line in sorted(axes.lines[still:], key=lambda line: line.get_zorder()):

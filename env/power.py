@@ -16,7 +16,7 @@ MAX_TABLE = 50_000
 FIRST_EXCESS = 16
 """How far above the least distance a combination that keeps margins is sought at first."""
 
-MAX_CELLS = 2**22
+MAX_CELLS = 2**23
 """Most cells of a table of the search."""
 
 NEVER = 10**6
@@ -75,17 +75,34 @@ def project_levels(
     worst = ranks * (levels - 1)
     excess = 0 if least_gap is None else min(FIRST_EXCESS, worst)
     while len(open_rows):
-        for at in _chunks(open_rows, ranks * (levels + 1) * (excess + 2)):
+        slacks = levels - max(int(count[open_rows].min()), 1) + 1
+        for at in _chunks(open_rows, ranks * slacks * (excess + 2)):
             gap = None if least_gap is None else least_gap[at]
             chosen[at], feasible[at] = _Search(picks[at], count[at], levels).nearest(excess, gap)
         open_rows = open_rows[~feasible[open_rows]]
         if excess >= worst or least_gap is None:
             break
         if excess == FIRST_EXCESS and len(open_rows):
-            search = _Search(picks[open_rows], count[open_rows], levels, anywhere=True)
-            open_rows = open_rows[search.nearest(0, least_gap[open_rows])[1]]
+            bound = _excess_bound(picks[open_rows], count[open_rows], levels, least_gap[open_rows])
+            open_rows = open_rows[bound >= 0]
+            worst = min(worst, int(bound.max()))
         excess = min(4 * excess, worst)
     return chosen, feasible
+
+
+def _excess_bound(
+    picks: NDArray[np.int64],
+    count: NDArray[np.int64],
+    levels: int,
+    least_gap: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """An excess within which a combination that keeps the margins lies, (B,); -1 if none does.
+
+    It is that of the feasible combination of least power, whatever was picked.
+    """
+    found, feasible = _Search(picks, count, levels, anywhere=True).nearest(0, least_gap)
+    distance = np.where(found > 0, np.abs(found - picks), 0).sum(axis=-1)
+    return np.where(feasible, distance - _Search(picks, count, levels).to_go[0, :, 0], -1)
 
 
 def _chunks(rows: NDArray[np.int64], cells: int) -> list[NDArray[np.int64]]:
