@@ -32,21 +32,7 @@ MEASURES = (
 )
 """What an evaluation reports, in ``summary.json`` and elsewhere."""
 
-METRICS = (
-    "episode",
-    "tick",
-    "slots",
-    "reward",
-    "success",
-    "path_ratio",
-    "ee",
-    "ee_bits_per_joule",
-    "sum_rate",
-    "min_rate",
-    "sic_violations",
-    "projections",
-    "epsilon",
-)
+METRICS = ("episode", "tick", "slots", "reward", *MEASURES, "epsilon")
 EVALUATIONS = ("episode", "tick", "cpu_s", "epsilon", *MEASURES)
 CONVERGED = 0.9
 PROGRESS_PERIOD_S = 0.5
