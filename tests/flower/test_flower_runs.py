@@ -330,5 +330,5 @@ def test_a_link_port_that_is_taken_after_the_check_fails_the_run_by_its_number(
         port = taken.getsockname()[1]
         assert train("run", "runtime=simulation", f"federation.link.port={port}") == 1
     said = capsys.readouterr().err
-    assert f"127.0.0.1:{port}" in said
+    assert f"federation.link.port={port}: allowed is a port that is free on 127.0.0.1" in said
     assert "Traceback" not in said
