@@ -130,6 +130,7 @@ def check_overrides(overrides: Sequence[str], *, sweep: bool = False) -> None:
     Raises:
         ConfigError: names the first mistake.
     """
+    schema = _schema_node()
     for text in overrides:
         try:
             override = OverridesParser.create().parse_override(text)
@@ -152,7 +153,7 @@ def check_overrides(overrides: Sequence[str], *, sweep: bool = False) -> None:
         elif override.is_sweep_override():
             _check_key(key)
         else:
-            _check_value(key, override)
+            _check_value(key, override, schema)
 
 
 def _check_choice(group: str, override: Override) -> None:
@@ -177,16 +178,15 @@ def _check_key(key: str) -> Any:
     return value
 
 
-def _check_value(key: str, override: Override) -> None:
+def _check_value(key: str, override: Override, schema: DictConfig) -> None:
     default = _check_key(key)
     if dataclasses.is_dataclass(default):
         raise ConfigError(
             f"{key} is a group of keys: set one of them, such as "
             f"{key}.{dataclasses.fields(default)[0].name}."
         )
-    node = _schema_node()
     try:
-        OmegaConf.update(node, key, override.value())
+        OmegaConf.update(schema, key, override.value())
     except OmegaConfBaseException as error:
         if default is None:
             kind = "a whole number" if "int" in _first_sentence(error).lower() else "a value"

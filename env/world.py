@@ -201,6 +201,7 @@ class World:
             What the slot brought.
         """
         drove = self.driving
+        running = drove.any(axis=-1)
         channel = self.channel(phase_action)
         gain = channel.real**2 + channel.imag**2
         allocation = self.downlink.allocate(gain, level, drove)
@@ -210,7 +211,7 @@ class World:
         after_m = self._distance_m[self.cell, self._robot]
         arrived = drove & (self.cell == self.destinations)
         self.driving = drove & ~arrived
-        self.slot = self.slot + drove.any(axis=-1)
+        self.slot = self.slot + running
         self._draw_fading()
         terminated = np.asarray(~self.driving.any(axis=-1))
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
@@ -221,7 +222,7 @@ class World:
             rate=allocation.rate,
             local_reward=np.where(drove, local, 0.0),
             global_reward=np.where(
-                drove.any(axis=-1),
+                running,
                 reward.global_reward(np.where(drove, counted, 0.0).sum(axis=-1), weights),
                 0.0,
             ),

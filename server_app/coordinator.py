@@ -102,6 +102,7 @@ class Coordinator:
         """
         model, final = initial, False
         self._world.reset()
+        self._state = self._world.global_observation()
         self._tally = EpisodeTally(self._world)
         while not final:
             self.progress.window += 1
@@ -123,7 +124,6 @@ class Coordinator:
         updates = self._updates()
         self._observe_into(updates)
         self._fleet.tell(self.progress.tick, window, Want.ACTIONS, updates)
-        self._state = self._world.global_observation()
         if self.progress.tick == 0:
             self._observer.on_start()
         for left in reversed(range(self._config.federation.every)):
