@@ -176,7 +176,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.world.reset(None if starts is None else self._start_cells(starts)[None])
         self.agents = list(self.possible_agents)
         self._way, self._outcome = [self.world.cell[0]], None
-        shortest = self.world.floor.shortest_slots(self.world.cell[0], self.world.destinations)
+        shortest = self.world.shortest_slots[0]
         infos: Infos = {n: {"shortest_slots": int(shortest[k])} for k, n in enumerate(self.robots)}
         return self._observations(), {**infos, AP: {}}
 

@@ -70,7 +70,7 @@ class EpisodeTally:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._shortest = world.floor.shortest_slots(world.cell, world.destinations)
+        self._shortest = world.shortest_slots
         shape = world.cell.shape
         self._rate_sum = np.zeros(shape)
         self._slots = np.zeros(shape, dtype=np.int64)

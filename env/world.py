@@ -59,6 +59,8 @@ class World:
         cell: where the robots are, shape (B, K).
         driving: which robots are driving, shape (B, K).
         slot: slots since the episode began, shape (B,).
+        next_cell: the cell that each move leads to, shape (cells, 4).
+        slots_to_go: fewest slots from each cell to each robot's destination, shape (cells, K).
     """
 
     def __init__(
@@ -77,7 +79,9 @@ class World:
         self.destinations = destinations
         self.generator = generator
         self.slot_s = config.room.cell_m / config.motion.speed_mps
-        self._next_cell = self.floor.neighbours()
+        self.next_cell = self.floor.neighbours()
+        every_cell = np.arange(self.floor.cells)[:, None]
+        self.slots_to_go = self.floor.shortest_slots(every_cell, destinations)
         centres = self.floor.centres()
         self._distance_m = reward.distance_m(centres[:, None], centres[destinations])
         self._starts = [
@@ -115,6 +119,11 @@ class World:
         if self._fading is None:
             return self.radio_map.direct_db[self.cell]
         return np.asarray(20.0 * np.log10(np.abs(self.direct)), dtype=np.float32)
+
+    @property
+    def shortest_slots(self) -> NDArray[np.int64]:
+        """Fewest slots that are left to each robot's destination, shape (B, K)."""
+        return self.slots_to_go[self.cell, self._robot]
 
     def channel(self, phase_action: NDArray[np.int64]) -> NDArray[np.complex128]:
         """The combined channel h_k of every robot in this slot.
@@ -206,7 +215,7 @@ class World:
         gain = channel.real**2 + channel.imag**2
         allocation = self.downlink.allocate(gain, level, drove)
         before_m = self._distance_m[self.cell, self._robot]
-        moved = self._next_cell[self.cell, direction]
+        moved = self.next_cell[self.cell, direction]
         self.cell = np.where(drove, moved, self.cell)
         after_m = self._distance_m[self.cell, self._robot]
         arrived = drove & (self.cell == self.destinations)
