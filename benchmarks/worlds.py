@@ -1,12 +1,14 @@
-"""The world's step: against a CartPole step, and in a batch."""
+"""The world's step, against a CartPole step and in a batch; and the making of a radio map."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
 
 from agent import single_threaded
-from benchmarks.result import Result, micro, take_turns
+from benchmarks.result import Result, Target, micro, take_turns
 from conf import compose
 from env import actions
 from env.config import EnvConfig
@@ -21,6 +23,11 @@ VS_CARTPOLE = (
     " of a CartPole-v1 step; random actions, resets included, blocks in turn"
 )
 BATCHED = f"world steps per processor second of {BATCH} worlds in a batch over one world"
+
+MAP = (
+    "processor time of the radio map of M = 1,600 elements with exact distances, 3,600 cells, over"
+    " that of 100,000 CartPole-v1 steps"
+)
 
 
 class Walk:
@@ -68,7 +75,7 @@ class CartPole:
 
 
 def worlds(*, quick: bool = False) -> list[Result]:
-    """Measures ``world_step_vs_cartpole_k3`` and ``world_batch_256_vs_1``."""
+    """Measures the three results whose names begin with ``world_``."""
     single_threaded()
     steps, blocks = (100, 3) if quick else (500, 15)
     config = compose().env
@@ -84,7 +91,20 @@ def worlds(*, quick: bool = False) -> list[Result]:
     micros = {f"{name}_us": micro(seconds) for name, seconds in taken.items()}
     ratio = taken["world"] / taken["cartpole"]
     gain = BATCH * taken["world"] / taken["batch"]
+    largest = replace(config, ris=replace(config.ris, side=40, response="near"))
+    maps = take_turns({"map": lambda _: build_radio_map(largest)}, 1, 3 if quick else 9)["map"]
+    making = maps / (100_000 * np.median(taken["cartpole"]))
     return [
-        Result.over("world_step_vs_cartpole_k3", ratio, "ratio", VS_CARTPOLE, None, micros),
-        Result.over("world_batch_256_vs_1", gain, "ratio", BATCHED, None, micros),
+        Result.over(
+            "world_step_vs_cartpole_k3",
+            ratio,
+            "ratio",
+            VS_CARTPOLE,
+            Target(8, at_least=False),
+            micros,
+        ),
+        Result.over(
+            "world_batch_256_vs_1", gain, "ratio", BATCHED, Target(20, at_least=True), micros
+        ),
+        Result.over("world_map_vs_100k_cartpole", making, "ratio", MAP, Target(1, at_least=False)),
     ]

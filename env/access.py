@@ -20,7 +20,7 @@ def decoding_order(gain: NDArray[np.float64], served: NDArray[np.bool_]) -> NDAr
     Returns:
         Robot at each rank, shape (..., K); ties by robot index, robots not served last.
     """
-    return np.argsort(np.where(served, -gain, np.inf), axis=-1, kind="stable")
+    return np.where(served, -gain, np.inf).argsort(axis=-1, kind="stable")
 
 
 def sic_margins(gain: NDArray[np.float64], power_w: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,7 +77,7 @@ def downlink_rates(
     Returns:
         R_k in bit/s/Hz by rank, shape (..., K).
     """
-    interference = np.cumsum(power_w, axis=-1) - power_w
+    interference = np.add.accumulate(power_w, axis=-1) - power_w
     if residual is not None:
         left = np.where(residual, power_w, 0.0)
         interference = interference + left[..., ::-1].cumsum(axis=-1)[..., ::-1] - left

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,7 @@ TINY = 1e-300
 _Value = TypeVar("_Value", bound=np.generic)
 
 
-@dataclass(frozen=True)
-class Allocation:
+class Allocation(NamedTuple):
     """What the AP sends in one slot; arrays are in robot order, shape (..., K).
 
     Attributes:
@@ -56,6 +54,7 @@ class Downlink:
         self._resolve = power.resolve
         projects = power.resolve == "project" and not self._orthogonal
         self._projection = Projection(config.robots, power.levels) if projects else None
+        self._least_gain = self.margin_w / self.max_power_w
         self._power_w = fractions(np.arange(power.levels + 1)) * self.max_power_w
 
     def allocate(
@@ -75,10 +74,10 @@ class Downlink:
             return self._allocate_parts(gain, served)
         order = access.decoding_order(gain, served)
         place = order + np.arange(0, gain.size, gain.shape[-1])[:, None]
-        ranked_gain, ranked_served = gain.take(place), served.take(place)
-        sent = self._send(ranked_gain, picks.take(place) * ranked_served, ranked_served)
+        ranked = gain.take(place)
+        sent = self._send(ranked, (picks * served).take(place))
         residual = sent.failed if self._resolve == "residual" else None
-        rate = access.downlink_rates(ranked_gain, sent.power_w, self.noise_w, residual)
+        rate = access.downlink_rates(ranked, sent.power_w, self.noise_w, residual)
         if self._resolve == "zero":
             rate = np.where(sent.failed, 0.0, rate)
         return Allocation(
@@ -107,26 +106,28 @@ class Downlink:
             margin_dropped=never,
         )
 
-    def _send(
-        self, gain: NDArray[np.float64], picks: NDArray[np.int64], served: NDArray[np.bool_]
-    ) -> _Sent:
+    def _send(self, gain: NDArray[np.float64], picks: NDArray[np.int64]) -> _Sent:
         """Resolves picks, all in rank order, shape (B, K); picks are 0 where not served."""
         if self._projection is None:
             nowhere = np.zeros(len(picks), dtype=bool)
             power_w = scaled_to_budget(fractions(picks)) * self.max_power_w
-            failed = access.sic_failures(gain, power_w, served, self.margin_w)
-            return _Sent(power_w, failed, projected=nowhere, margin_dropped=nowhere)
-        least_gap = self.margin_w / self.max_power_w / np.maximum(gain[:, :-1], TINY)
-        levels, dropped = self._projection(picks, served.sum(axis=-1), least_gap)
+            return _Sent(power_w, self._failures(gain, power_w, picks), nowhere, nowhere)
+        least_gap = self._least_gain / np.maximum(gain[:, :-1], TINY)
+        levels, changed, dropped = self._projection(picks, least_gap)
         power_w = self._power_w.take(levels)
-        failed = np.zeros_like(served)
+        failed = np.zeros(picks.shape, dtype=bool)
         if dropped.any():
-            failed[dropped] = access.sic_failures(gain, power_w, served, self.margin_w)[dropped]
-        return _Sent(power_w, failed, (levels != picks).any(axis=-1), dropped)
+            failed[dropped] = self._failures(gain, power_w, picks)[dropped]
+        return _Sent(power_w, failed, changed, dropped)
+
+    def _failures(
+        self, gain: NDArray[np.float64], power_w: NDArray[np.float64], picks: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Where Eq. (2) fails, by rank, shape (B, K)."""
+        return access.sic_failures(gain, power_w, picks > 0, self.margin_w)
 
 
-@dataclass(frozen=True)
-class _Sent:
+class _Sent(NamedTuple):
     """What is sent, in rank order, shape (B, K), and what became of the picks, shape (B,)."""
 
     power_w: NDArray[np.float64]

@@ -240,47 +240,66 @@ class Projection:
             self._place = np.asarray((levels + 1) ** np.arange(robots))
             self._known = np.zeros(size, dtype=bool)
             self._table = np.zeros((size, robots), dtype=np.int64)
+            self._changes = np.zeros(size, dtype=bool)
             self._gaps = np.zeros((size, robots - 1))
 
     def __call__(
-        self, picks: NDArray[np.int64], count: NDArray[np.int64], least_gap: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        self, picks: NDArray[np.int64], least_gap: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
         """Projects picks in rank order.
 
         Args:
             picks: levels by rank, shape (B, K), 0 at ranks not served.
-            count: served ranks, shape (B,).
             least_gap: rho_min / |h_{k-1}|^2 / P_max at ranks 2..K, shape (B, K-1).
 
         Returns:
-            Levels, shape (B, K), and where the margin had to be dropped since no combination
-            keeps it, shape (B,).
+            Levels, shape (B, K), whether they are others than the picks, shape (B,), and where
+            the margin had to be dropped since no combination keeps it, shape (B,).
         """
-        levels, gaps = self._without_margin(picks, count)
+        if self._remembers:
+            index = picks @ self._place
+            keeps = self._gaps.take(index, axis=0) >= least_gap
+            if np.logical_and.reduce(keeps, axis=None) and self._known.take(index).all():
+                levels = self._table.take(index, axis=0)
+                return levels, self._changes.take(index), np.zeros(len(picks), dtype=bool)
+        return self._search(picks, least_gap)
+
+    def _search(
+        self, picks: NDArray[np.int64], least_gap: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+        """As the call, where some picks are new, or a margin fails without being asked for."""
+        levels, gaps = self._without_margin(picks)
         dropped = np.zeros(len(picks), dtype=bool)
         short = (gaps < least_gap).any(axis=-1)
         if short.any():
+            asked = picks[short]
             kept, feasible = project_levels(
-                np.maximum(picks[short], 1), count[short], self._levels, least_gap[short]
+                np.maximum(asked, 1), _served(asked), self._levels, least_gap[short]
             )
             levels[short] = np.where(feasible[:, None], kept, levels[short])
             dropped[short] = ~feasible
-        return levels, dropped
+        return levels, (levels != picks).any(axis=-1), dropped
 
     def _without_margin(
-        self, picks: NDArray[np.int64], count: NDArray[np.int64]
+        self, picks: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The nearest levels with no margin to keep, and their gaps; remembered where few."""
         if not self._remembers:
-            levels, _ = project_levels(np.maximum(picks, 1), count, self._levels)
+            levels, _ = project_levels(np.maximum(picks, 1), _served(picks), self._levels)
             return levels, _gaps(levels)
         index = picks @ self._place
         new = ~self._known.take(index)
         if new.any():
-            at = index[new]
-            levels, _ = project_levels(np.maximum(picks[new], 1), count[new], self._levels)
+            at, asked = index[new], picks[new]
+            levels, _ = project_levels(np.maximum(asked, 1), _served(asked), self._levels)
             self._table[at], self._gaps[at], self._known[at] = levels, _gaps(levels), True
+            self._changes[at] = (levels != asked).any(axis=-1)
         return self._table.take(index, axis=0), self._gaps.take(index, axis=0)
+
+
+def _served(picks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many ranks of each row are served, shape (B,)."""
+    return np.asarray(np.count_nonzero(picks, axis=-1))
 
 
 def _gaps(levels: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from env import propagation
 from env.config import EnvConfig
 from env.floor import Floor, line_of_sight
 from env.seeding import Stream, stream
+
+MAX_TABLE = 2**20
+"""Most entries of a table of gains: 8 MB."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,31 @@ class RadioMap:
         theta = self.settings[phase_action]
         reflected = (self.reflected[cell] * theta[..., None, :]).sum(axis=-1)
         return np.asarray((self.direct[cell] if direct is None else direct) + reflected)
+
+    def gain(
+        self,
+        cell: NDArray[np.int64],
+        phase_action: NDArray[np.int64],
+        direct: NDArray[np.complex128] | None = None,
+    ) -> NDArray[np.float64]:
+        """|h_k|^2 of ``channel``, with the same arguments; looked up where there are few."""
+        if direct is None and self._gains is not None:
+            return self._gains[phase_action[..., None], cell]
+        return _squared(self.channel(cell, phase_action, direct))
+
+    @cached_property
+    def _gains(self) -> NDArray[np.float64] | None:
+        """|h|^2 for every action at every cell, shape (A, cells); None where that is a lot."""
+        shape = (len(self.settings), len(self.direct))
+        if shape[0] * shape[1] > MAX_TABLE:
+            return None
+        cell = np.broadcast_to(np.arange(shape[1]), shape)
+        return _squared(self.channel(cell, np.arange(shape[0])))
+
+
+def _squared(channel: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """|h|^2, same shape."""
+    return np.asarray(channel.real**2 + channel.imag**2)
 
 
 def build_radio_map(config: EnvConfig) -> RadioMap:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,7 @@ from env.propagation import small_scale_fading
 from env.radio_map import RadioMap, build_radio_map
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """What one slot brought, for B worlds of K robots.
 
     Attributes:
@@ -40,6 +39,17 @@ class Outcome:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     allocation: Allocation
+
+
+class _Seen(NamedTuple):
+    """Observations that depend on a robot and its cell alone."""
+
+    local: NDArray[np.float32]  # s_L, (cells, K, local_size)
+    by_all: NDArray[np.float32]  # its part of s_G while driving, (cells, K, global_size / K)
+
+
+MAX_SEEN = 2**20
+"""Most cells times robots for which observations are tabulated: 54 MB."""
 
 
 class World:
@@ -90,12 +100,24 @@ class World:
         ]
         self._fixed_starts = _fixed_starts(config, self.floor)
         self._robot = np.arange(len(destinations))
+        self._seen = self._tabulate()
         shape = (worlds, len(destinations))
         self.cell = np.zeros(shape, dtype=np.int64)
         self.driving = np.zeros(shape, dtype=bool)
         self.slot = np.zeros(worlds, dtype=np.int64)
         self._fading_sources: Sequence[np.random.Generator] | None = None
         self._fading: NDArray[np.complex128] | None = None
+
+    def _tabulate(self) -> _Seen | None:
+        """What is seen from every cell, if it stays and is no large table."""
+        cells, robots = self._distance_m.shape
+        if self.config.channel.fading == "slot" or cells * robots > MAX_SEEN:
+            return None
+        cell = np.broadcast_to(np.arange(cells)[:, None], (cells, robots))
+        tables, everywhere = self.radio_map, np.ones((cells, robots), dtype=bool)
+        local = self.observer.local(cell, tables.direct_db[cell], self.destinations)
+        by_all = self.observer.of_all(local, tables.direct[cell], everywhere)
+        return _Seen(local, by_all.reshape(cells, robots, -1))
 
     @property
     def robots(self) -> int:
@@ -185,10 +207,15 @@ class World:
 
     def local_observations(self) -> NDArray[np.float32]:
         """s_L of every robot, float32, shape (B, K, local_size)."""
+        if self._seen is not None:
+            return self._seen.local[self.cell, self._robot]
         return self.observer.local(self.cell, self.measured_db, self.destinations)
 
     def global_observation(self, local: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """s_G, float32, shape (B, global_size); ``local`` saves computing s_L again."""
+        if self._seen is not None:
+            seen = self._seen.by_all[self.cell, self._robot] * self.driving[..., None]
+            return seen.reshape(len(self.cell), -1)
         if local is None:
             local = self.local_observations()
         return self.observer.of_all(local, self.direct, self.driving)
@@ -211,8 +238,8 @@ class World:
         """
         drove = self.driving
         running = drove.any(axis=-1)
-        channel = self.channel(phase_action)
-        gain = channel.real**2 + channel.imag**2
+        direct = None if self._fading is None else self.direct
+        gain = self.radio_map.gain(self.cell, phase_action, direct)
         allocation = self.downlink.allocate(gain, level, drove)
         before_m = self._distance_m[self.cell, self._robot]
         moved = self.next_cell[self.cell, direction]
