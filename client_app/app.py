@@ -12,8 +12,9 @@ from flwr.clientapp import ClientApp
 
 from agent import single_threaded
 from client_app.robots import RobotGroup
-from client_app.state import load_state, save_state
+from client_app.state import Keeper, load_state
 from conf import Config, fingerprint, from_yaml
+from conf.places import STATE
 from env.link import serve
 
 app = ClientApp()
@@ -56,7 +57,7 @@ def train(message: Message, context: Context) -> Message:
     began = time.process_time()
     order = Order.read(message.content.config_records["order"])
     group = RobotGroup(order.config, order.robots)
-    folder = Path(str(order.config.run.dir)) / "state"
+    folder = Path(str(order.config.run.dir)) / STATE
     if order.window:
         load_state(group, folder, order.window)
     model = message.content.array_records["arrays"].get("model")
@@ -66,13 +67,12 @@ def train(message: Message, context: Context) -> Message:
         order.address,
         order.robots,
         order.tokens,
-        group,
+        Keeper(group, folder, order.config.state.every),
         fingerprint=fingerprint(),
         timeout_s=order.config.federation.link.timeout_s,
         patience_s=order.config.federation.link.patience_s,
         n_parameters=group.parameters,
     )
-    save_state(group, folder, group.window)
     content = RecordDict(
         {
             "arrays": ArrayRecord({"robots": Array(group.upload())}),

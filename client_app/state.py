@@ -4,28 +4,65 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent import load_checkpoint, save_checkpoint
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import CheckpointError, load_checkpoint, save_checkpoint
 from client_app.robots import RobotGroup
+from conf.places import robot_folder, robot_windows, round_folder
+from env.link import Step, Want
 
 
-def robot_folder(folder: Path, robot: int) -> Path:
-    """The folder of one robot's checkpoints."""
-    return folder / f"robot-{robot:02d}"
+class Keeper:
+    """Robots on the link that write their checkpoints before they answer.
+
+    A checkpoint of every ``every`` windows is one that the server and all robots write; one at the
+    end of a Flower round carries the robots over to the process that plays the next.
+
+    Args:
+        group: the robots.
+        state: the folder of checkpoints on this machine.
+        every: windows between checkpoints; None writes those of rounds alone.
+    """
+
+    def __init__(self, group: RobotGroup, state: Path, every: int | None) -> None:
+        self._group, self._state, self._every = group, state, every
+
+    def step(self, step: Step) -> NDArray[np.int32] | None:
+        """See ``Robots.step``."""
+        actions = self._group.step(step)
+        if step.want is not Want.ACTIONS:
+            self.save(step.window, step.want is Want.FAREWELL)
+        return actions
+
+    def upload(self) -> NDArray[np.float32]:
+        """See ``Robots.upload``."""
+        return self._group.upload()
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """See ``Robots.download``."""
+        self._group.download(window, weights)
+
+    def save(self, window: int, last: bool) -> None:
+        """Writes the checkpoints of a window, where it is due or the last of a round."""
+        due = self._every is not None and window % self._every == 0
+        if not due and not last:
+            return
+        for index, robot in enumerate(self._group.robots):
+            folder = robot_folder(self._state, robot) if due else round_folder(self._state, robot)
+            arrays = self._group.agents.agent_state(index)
+            save_checkpoint(folder, window, arrays, {"robot": robot})
 
 
-def save_state(group: RobotGroup, folder: Path, window: int) -> None:
-    """Writes each robot's checkpoint of a window: replay, moments, random state, weights."""
-    for index, robot in enumerate(group.robots):
-        arrays = group.agents.agent_state(index)
-        save_checkpoint(robot_folder(folder, robot), window, arrays, {"robot": robot})
-
-
-def load_state(group: RobotGroup, folder: Path, window: int) -> None:
+def load_state(group: RobotGroup, state: Path, window: int) -> None:
     """Restores each robot from its checkpoint of a window.
 
     Raises:
         CheckpointError: it is missing or damaged.
     """
     for index, robot in enumerate(group.robots):
-        arrays, _ = load_checkpoint(robot_folder(folder, robot), window)
+        folder = robot_windows(state, robot).get(window)
+        if folder is None:
+            raise CheckpointError(f"{state} holds no checkpoint of robot {robot}, window {window}")
+        arrays, _ = load_checkpoint(folder, window)
         group.agents.restore_agent(index, arrays)

@@ -6,6 +6,7 @@ from conf.compose import (
     compose,
     from_node,
     from_yaml,
+    overridden,
     register_schema,
     to_yaml,
 )
@@ -23,6 +24,7 @@ __all__ = [
     "flower_clients",
     "from_node",
     "from_yaml",
+    "overridden",
     "problems",
     "register_schema",
     "robot_network",

@@ -48,6 +48,7 @@ RANGES = {
     "federation.link.timeout_s": SECONDS,
     "federation.link.patience_s": SECONDS,
     "runtime.start_timeout_s": SECONDS,
+    "state.every": Range(1, null=True),
     "evaluation.every": Range(1),
     "evaluation.episodes": Range(1, 100_000),
     "evaluation.epsilon": Range(0, 1),

@@ -99,6 +99,20 @@ def from_node(node: DictConfig) -> Config:
     return config
 
 
+def overridden(config: Config, overrides: Sequence[str]) -> Config:
+    """A configuration with some values set anew, checked.
+
+    Raises:
+        ConfigError: a wrong key, value or combination.
+    """
+    check_overrides(overrides)
+    node = OmegaConf.create(to_yaml(config))
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        OmegaConf.update(node, override.key_or_group, override.value())
+    assert isinstance(node, DictConfig)
+    return from_node(node)
+
+
 def to_yaml(config: Config) -> str:
     """The whole configuration as YAML."""
     return OmegaConf.to_yaml(OmegaConf.structured(config))

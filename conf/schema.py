@@ -54,6 +54,13 @@ class FederationConfig:
 
 
 @dataclass(frozen=True)
+class StateConfig:
+    """Checkpoints, from which a run that died goes on."""
+
+    every: int | None = 20  # windows between two; None writes none
+
+
+@dataclass(frozen=True)
 class EvaluationConfig:
     """Evaluation of frozen weights while training and at the end."""
 
@@ -82,6 +89,7 @@ class Config:
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     federation: FederationConfig = field(default_factory=FederationConfig)
+    state: StateConfig = field(default_factory=StateConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     run: RunConfig = field(default_factory=RunConfig)
 

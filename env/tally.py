@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +63,9 @@ class EpisodeMeasures:
         }
 
 
+_COUNTS = ("shortest", "rate_sum", "slots", "arrived", "reward", "failed", "projected")
+
+
 class EpisodeTally:
     """Adds up the outcomes of the episodes that begin now in every world.
 
@@ -87,6 +92,15 @@ class EpisodeTally:
         self._reward += outcome.local_reward.sum(axis=-1)
         self._failed += outcome.allocation.sic_failed.sum(axis=-1)
         self._projected += outcome.allocation.projected
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that has been counted, as copies; the arrays of ``restore``."""
+        return {name: getattr(self, f"_{name}").copy() for name in _COUNTS}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Takes back what ``state`` gave."""
+        for name in _COUNTS:
+            setattr(self, f"_{name}", state[name].copy())
 
     def measures(self) -> EpisodeMeasures:
         """The measures so far, those of whole episodes once all have ended."""

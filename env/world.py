@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,6 +197,18 @@ class World:
                 for los, source in zip(blocks, sources, strict=True)
             ]
         )
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Where an episode is, as copies; without the random streams."""
+        state = {"cell": self.cell, "driving": self.driving, "slot": self.slot}
+        if self._fading is not None:
+            state["fading"] = self._fading
+        return {name: array.copy() for name, array in state.items()}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Takes back what ``state`` gave; the streams are the caller's to restore."""
+        self.cell, self.driving = state["cell"].copy(), state["driving"].copy()
+        self.slot, self._fading = state["slot"].copy(), state.get("fading")
 
     def draw_starts(self, count: int) -> NDArray[np.int64]:
         """Start cells, shape (count, K): fixed ones, or drawn from the world's stream."""

@@ -12,18 +12,21 @@ from typing import Any
 from conf import Config, flower_clients, to_yaml
 from experiments.display import read_progress
 from experiments.flower import FlowerError, RunState, SimulationSuperLink, Status
+from server_app import resume
+from server_app.checkpoint import Checkpoint
 from server_app.recorder import report_failure, write_atomically
 
 POLL_S = 1.0
 LOG_NAME = "flower.log"
 
 
-def train(config: Config, folder: Path) -> dict[str, Any]:
+def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> dict[str, Any]:
     """Trains on a SuperLink of this run's own, which ends with it.
 
     Args:
         config: the run's configuration, with an absolute ``run.dir``.
         folder: the run's folder.
+        resumed: where the run goes on, if it does not begin.
 
     Returns:
         What ``summary.json`` holds.
@@ -35,7 +38,8 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     config = dataclasses.replace(config, federation=federation)
     write_atomically(folder / "config.yaml", to_yaml(config))
     try:
-        _run(config, folder)
+        written = f"@{folder / 'config.yaml'}"
+        _run(config, folder, f"{resume.PREFIX}{folder}" if resumed else written)
     except BaseException as error:
         report_failure(folder, error)
         raise
@@ -43,14 +47,13 @@ def train(config: Config, folder: Path) -> dict[str, Any]:
     return summary
 
 
-def _run(config: Config, folder: Path) -> None:
-    """Hands the run to a SuperLink and waits for its end."""
+def _run(config: Config, folder: Path, what: str) -> None:
+    """Hands the run that ``what`` describes to a SuperLink and waits for its end."""
     superlink = SimulationSuperLink(
         log_path=folder / LOG_NAME, start_timeout_s=config.runtime.start_timeout_s
     )
     with superlink:
-        written = shlex.quote(f"@{folder / 'config.yaml'}")
-        run_id = superlink.submit(clients=flower_clients(config), overrides=written)
+        run_id = superlink.submit(clients=flower_clients(config), overrides=shlex.quote(what))
         while not (status := superlink.status(run_id)).finished:
             time.sleep(POLL_S)
         if status.state is not RunState.COMPLETED:

@@ -25,12 +25,14 @@ from env.link import LinkError
 from experiments import local, simulation
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
+from server_app import resume
+from server_app.checkpoint import Checkpoint
 from server_app.preflight import check, check_address, checked
 from server_app.session import STOP_FILE
 
 INTERRUPTED = 130
 
-Runtime = Callable[[Config, Path], dict[str, Any]]
+Runtime = Callable[[Config, Path, Checkpoint | None], dict[str, Any]]
 RUNTIMES: dict[str, Runtime] = {"local": local.train, "simulation": simulation.train}
 
 
@@ -45,8 +47,14 @@ def main(arguments: Sequence[str]) -> int:
         if "--cfg" in flags:
             print(to_yaml(checked(overrides)), end="")
             return 0
+        if flags and resume.asked(overrides):
+            raise ConfigError("resume=RUN goes on with one run: allowed without -m.")
         if flags:
             return _train_all(overrides)
+        if resume.asked(overrides):
+            config, checkpoint = resume.read(overrides)
+            check_address(config)
+            return train(config, Path(str(config.run.dir)), checkpoint)
         config = checked(overrides)
         check_address(config)
         return train(config, new_folder(config))
@@ -55,12 +63,13 @@ def main(arguments: Sequence[str]) -> int:
         return 2 if isinstance(error, ConfigError) else 1
 
 
-def train(config: Config, folder: Path) -> int:
+def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> int:
     """Trains one run and shows it.
 
     Args:
         config: a checked configuration.
-        folder: the run's folder, new or empty.
+        folder: the run's folder, new or empty unless it goes on.
+        resumed: where the run goes on, if it does not begin.
 
     Returns:
         0, or 130 if Ctrl-C ended the run early.
@@ -74,8 +83,10 @@ def train(config: Config, folder: Path) -> int:
         allowed = f"a folder that can be made ({error.strerror})"
         raise ConfigError.of([("run.dir", folder, allowed)]) from error
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+    if resumed is not None:
+        console.print(f"going on from window {resumed.window}", highlight=False)
     with StopOnInterrupt(folder, console) as stop, Display(folder, console):
-        summary = RUNTIMES[config.runtime.name](config, folder)
+        summary = RUNTIMES[config.runtime.name](config, folder, resumed)
     show_summary(console, summary, folder)
     if stop.asked:
         console.print("Stopped early by Ctrl-C: what was learned until then is in the run folder.")
@@ -118,6 +129,7 @@ class StopOnInterrupt:
 
     def __enter__(self) -> StopOnInterrupt:
         """Takes Ctrl-C over."""
+        self._file.unlink(missing_ok=True)  # of a run that was killed
         self._before = signal.signal(signal.SIGINT, self._on_interrupt)
         return self
 

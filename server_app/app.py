@@ -12,6 +12,8 @@ from flwr.serverapp import Grid, ServerApp
 
 from conf import Config, ConfigError, fingerprint
 from env.link import LinkServer
+from server_app import resume
+from server_app.checkpoint import Checkpoint
 from server_app.preflight import check_address, checked, checked_yaml, default_concurrency
 from server_app.recorder import report_failure
 from server_app.rounds import FlowerFleet, wait_for_nodes
@@ -25,19 +27,20 @@ app = ServerApp()
 @app.main()
 def main(grid: Grid, context: Context) -> None:
     """Runs one training run on the clients that the federation has."""
-    config = _config(str(context.run_config.get("overrides", "")))
+    given = shlex.split(str(context.run_config.get("overrides", "")))
+    config, resumed = _asked(given)
     folder = Path(config.run.dir or f"runs/{time.strftime('%Y-%m-%d_%H-%M-%S')}").absolute()
-    if (folder / "metrics.csv").exists():
+    if resumed is None and (folder / "metrics.csv").exists():
         raise ConfigError.of([("run.dir", folder, "a folder that holds no run yet")])
     print(f"run folder: {folder}", flush=True)
     try:
-        _train(grid, config, folder)
+        _train(grid, config, folder, resumed)
     except Exception as error:
         report_failure(folder, error)
         raise
 
 
-def _train(grid: Grid, config: Config, folder: Path) -> None:
+def _train(grid: Grid, config: Config, folder: Path, resumed: Checkpoint | None) -> None:
     """Deals the robots to the federation's nodes and trains with them."""
     check_address(config)
     where = config.federation.link
@@ -49,26 +52,31 @@ def _train(grid: Grid, config: Config, folder: Path) -> None:
             run=dataclasses.replace(config.run, dir=str(folder)),
             federation=dataclasses.replace(config.federation, clients=len(nodes)),
         )
-        session = Session(config, folder)
-        fleet = FlowerFleet(config, grid, link, nodes, session.initial_weights())
+        session = Session(config, folder, resumed)
+        fleet = FlowerFleet(config, grid, link, nodes, session.model())
         session.train(fleet, fleet.costs)
     finally:
         link.close("the run has ended")
 
 
-def _config(overrides: str) -> Config:
-    """The configuration of a run: Hydra overrides, or ``@FILE`` for one that is written out.
+def _asked(given: list[str]) -> tuple[Config, Checkpoint | None]:
+    """The run that is asked for, and where it goes on, if it does not begin.
+
+    It is given as Hydra overrides, ``@FILE`` for a configuration that is written out, or
+    ``resume=RUN``.
 
     The runtime is Flower's, whatever ``config.yaml`` has as its default.
     """
-    given = shlex.split(overrides)
-    if len(given) == 1 and given[0].startswith("@"):
+    resumed = None
+    if resume.asked(given):
+        config, resumed = resume.read(given)
+    elif len(given) == 1 and given[0].startswith("@"):
         config = checked_yaml(Path(given[0][1:]).read_text())
     else:
         config = checked(["runtime=simulation", *given])
     if config.runtime.name == "local":
         raise ConfigError("runtime=local: allowed on Flower is simulation.")
-    return config
+    return config, resumed
 
 
 def _nodes(grid: Grid, config: Config) -> list[int]:

@@ -7,13 +7,14 @@ messages; the order of events, and so every bit of every weight, is the same.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent import generator_state, restore_generator
 from conf import Config
 from env import actions
 from env.link import UPDATE, Flag, Fleet, Want
@@ -21,6 +22,7 @@ from env.tally import EpisodeMeasures, EpisodeTally
 from env.world import Outcome, World
 from server_app.access_point import AccessPoint
 from server_app.aggregation import Aggregator
+from server_app.checkpoint import flat, part
 
 # As NumPy's own numbers: it would look for attributes on an enum's member at every use.
 OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARRIVED, Flag.DRIVING))
@@ -70,6 +72,7 @@ class Coordinator:
         aggregator: the strategy, or None for independent learners.
         observer: told of episodes and windows.
         stop: asked at every window boundary whether to end the run there.
+        keep: told at every window boundary, after all else, and whether it is the last.
     """
 
     def __init__(
@@ -81,29 +84,38 @@ class Coordinator:
         aggregator: Aggregator | None,
         observer: Observer,
         stop: Callable[[], bool] = lambda: False,
+        keep: Callable[[bool], None] = lambda final: None,
     ) -> None:
         self._config = config
         self._world, self._ap, self._fleet = world, ap, fleet
         self._aggregator = aggregator
         self._observer = observer
-        self._stop = stop
+        self._stop, self._keep = stop, keep
+        self._model: NDArray[np.float32] | None = None
         self.progress = Progress()
-        self.stopped = False
+        self.stopped = self._started = False
         self.waited_s = 0.0
 
-    def run(self, initial: NDArray[np.float32]) -> NDArray[np.float32]:
+    def run(
+        self, initial: NDArray[np.float32], resumed: Mapping[str, NDArray[Any]] | None = None
+    ) -> NDArray[np.float32]:
         """Trains until the window boundary after the last episode or tick.
 
         Args:
-            initial: online and target weights that all robots hold now, shape (2, P).
+            initial: online and target weights that all robots hold at the run's very beginning,
+                shape (2, P).
+            resumed: the ``state`` that the run goes on from; the robots hold that window's.
 
         Returns:
             The robots' weights after the last aggregation, shape (K, 2, P).
         """
         model, final = initial, False
         self._world.reset()
-        self._state = self._world.global_observation()
         self._tally = EpisodeTally(self._world)
+        if resumed is not None:
+            self._restore(resumed)
+            model = initial if self._model is None else self._model
+        self._state = self._world.global_observation()
         while not final:
             self.progress.window += 1
             window = self.progress.window
@@ -113,19 +125,49 @@ class Coordinator:
                 shared = uploads
             else:
                 model = self._aggregator.aggregate(window, model, uploads)
-                shared = model[None]
+                self._model, shared = model, model[None]
                 if not final:
                     self._fleet.download(window, model)
             self._observer.on_window(self.progress, shared, self._ap.weights())
+            self._keep(final)
         return np.array(np.broadcast_to(shared, (self._world.robots, *model.shape)))
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All of the server's side that the run needs to go on from a window boundary."""
+        counters = [getattr(self.progress, field.name) for field in fields(Progress)]
+        run = {"progress": np.array(counters), "stream": generator_state(self._world.generator)}
+        if self._model is not None:
+            run["model"] = self._model
+        return flat(
+            {
+                "run": run,
+                "world": self._world.state(),
+                "tally": self._tally.state(),
+                "ap": self._ap.agent.agent_state(0),
+                "strategy": {} if self._aggregator is None else self._aggregator.state(),
+            }
+        )
+
+    def _restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Takes back what ``state`` gave."""
+        run = part(state, "run")
+        self.progress = Progress(*(int(count) for count in run["progress"]))
+        self._model = run.get("model")
+        restore_generator(self._world.generator, run["stream"])
+        self._world.restore(part(state, "world"))
+        self._tally.restore(part(state, "tally"))
+        self._ap.agent.restore_agent(0, part(state, "ap"))
+        if self._aggregator is not None:
+            self._aggregator.restore(part(state, "strategy"))
 
     def _play_window(self, window: int) -> bool:
         """Plays the ticks of a window; returns whether the run ends with it."""
         updates = self._updates()
         self._observe_into(updates)
         self._fleet.tell(self.progress.tick, window, Want.ACTIONS, updates)
-        if self.progress.tick == 0:
+        if not self._started:
             self._observer.on_start()
+            self._started = True
         for left in reversed(range(self._config.federation.every)):
             phase = self._ap.act(self._state, self.progress.tick)
             outcome = self._world.step(phase, *self._robots_actions())

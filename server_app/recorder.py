@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import epsilon_at
+from agent import CheckpointError, epsilon_at
 from conf import Config, to_yaml
 from env.tally import EpisodeMeasures
 from server_app.coordinator import Progress
@@ -47,7 +49,7 @@ def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
         durable: whether it must outlast a crash of the machine.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("w") as file:
+    with temporary.open("w", newline="") as file:
         file.write(text)
         file.flush()
         if durable:
@@ -128,29 +130,51 @@ class Recorder:
         folder: the run's folder, made here.
         evaluator: plays frozen weights.
         cpu_s: processor time that the run has used so far.
+        resumed: what ``marks`` gave where the run goes on from a checkpoint.
     """
 
     def __init__(
-        self, config: Config, folder: Path, evaluator: Evaluator, cpu_s: Callable[[], float]
+        self,
+        config: Config,
+        folder: Path,
+        evaluator: Evaluator,
+        cpu_s: Callable[[], float],
+        resumed: Mapping[str, Any] | None = None,
     ) -> None:
         self._config, self.folder = config, folder
         self._evaluator = evaluator
         self._cpu_s = cpu_s
-        self.history = History()
-        self.evaluation_s = 0.0
         self.began = self.started = time.perf_counter()
         self._written = 0.0
         self._ended: float | None = None
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / "config.yaml", to_yaml(config))
-        self._metrics = _CsvLog(folder / "metrics.csv", METRICS)
-        self._evaluations = _CsvLog(folder / "evaluations.csv", EVALUATIONS)
-        self._events = _event_writer(folder) if config.run.tensorboard else None
+        marks = resumed or {"episodes": 0, "evaluations": 0, "training_s": 0.0, "evaluation_s": 0.0}
+        self.evaluation_s, self._trained_s = marks["evaluation_s"], marks["training_s"]
+        self._metrics = _CsvLog(folder / "metrics.csv", METRICS, marks["episodes"])
+        self._evaluations = _CsvLog(
+            folder / "evaluations.csv", EVALUATIONS, 2 * marks["evaluations"]
+        )
+        rows = self._evaluations.kept
+        self.history = History(self._metrics.kept, rows[::2], rows[1::2])
+        undone = max([-1, *(int(row["tick"]) for row in (*self.history.episodes, *rows))]) + 1
+        self._events = _event_writer(folder, undone) if config.run.tensorboard else None
         self.report("starting", Progress())
 
     def on_start(self) -> None:
         """Start-up is over."""
-        self.started = time.perf_counter()
+        self.started = time.perf_counter() - self._trained_s
+
+    def marks(self) -> dict[str, Any]:
+        """How far the files have been written and the clocks have run, once all is on disk."""
+        self._metrics.sync()
+        self._evaluations.sync()
+        return {
+            "episodes": len(self.history.episodes),
+            "evaluations": len(self.history.evaluations),
+            "training_s": time.perf_counter() - self.started,
+            "evaluation_s": self.evaluation_s,
+        }
 
     def on_episode(self, progress: Progress, measures: EpisodeMeasures) -> None:
         """Writes a row of ``metrics.csv``."""
@@ -240,25 +264,65 @@ class Recorder:
                 self._events.add_scalar(f"{group}/{name}", value, tick)
 
 
-def _event_writer(folder: Path) -> Any:
+def _event_writer(folder: Path, first: int) -> Any:
+    """Writes events; those of an earlier attempt from the tick ``first`` on no longer count."""
     from torch.utils.tensorboard import SummaryWriter  # slow to import: only where it is wanted
 
-    return SummaryWriter(str(folder / "tensorboard"))
+    return SummaryWriter(str(folder / "tensorboard"), purge_step=first or None)
 
 
 class _CsvLog:
-    """A CSV file that grows by a row at a time and is on disk after each."""
+    """A CSV file of numbers that grows by a row at a time.
 
-    def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
-        self._file = path.open("w", newline="")
+    Args:
+        path: the file.
+        columns: the names of its columns.
+        kept: rows of an earlier file that stay; what follows them was undone by a resume.
+
+    Attributes:
+        kept: those rows.
+    """
+
+    def __init__(self, path: Path, columns: tuple[str, ...], kept: int = 0) -> None:
+        self.kept = _read_rows(path, kept) if kept else []
+        text = io.StringIO(newline="")
+        whole = csv.DictWriter(text, columns)
+        whole.writeheader()
+        whole.writerows(self.kept)
+        write_atomically(path, text.getvalue())
+        self._file = path.open("a", newline="")
         self._writer = csv.DictWriter(self._file, columns, extrasaction="ignore")
-        self._writer.writeheader()
 
     def write(self, row: dict[str, float]) -> None:
         """Adds a row; columns that it lacks stay empty."""
         self._writer.writerow(row)
         self._file.flush()
 
+    def sync(self) -> None:
+        """Waits until all rows outlast a crash of the machine."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
+
+
+def _read_rows(path: Path, count: int) -> list[dict[str, float]]:
+    """The first rows of a CSV file of numbers; whole numbers stay whole.
+
+    Raises:
+        CheckpointError: there are fewer.
+    """
+    try:
+        with path.open(newline="") as file:
+            rows = list(islice(csv.DictReader(file), count))
+    except FileNotFoundError:
+        rows = []
+    if len(rows) < count:
+        raise CheckpointError(f"{path} has {len(rows)} rows where the checkpoint has {count}")
+    return [{name: _number(text) for name, text in row.items()} for row in rows]
+
+
+def _number(text: str) -> float:
+    return int(text) if text.isdecimal() else float(text)

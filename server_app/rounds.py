@@ -75,7 +75,7 @@ class FlowerFleet:
         grid: Flower's grid.
         link: the listening end of the link.
         nodes: the identity of each client.
-        initial: the weights that all robots start from, shape (2, P).
+        model: the weights that all robots take first, shape (2, P); None if they hold theirs.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class FlowerFleet:
         grid: Grid,
         link: LinkServer,
         nodes: Sequence[int],
-        initial: NDArray[np.float32],
+        model: NDArray[np.float32] | None,
     ) -> None:
         self._config, self._grid, self._link = config, grid, link
         self._blocks = dict(zip(nodes, deal(config.env.robots, len(nodes)), strict=True))
@@ -93,7 +93,7 @@ class FlowerFleet:
         self._round = 0
         self._pending: dict[str, int] = {}
         self._replies: dict[int, Message] = {}
-        self._model: NDArray[np.float32] | None = initial
+        self._model = model
         self._base = 0
         self._farewell = False
         self._flower_s = 0.0

@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,14 @@ from safetensors.numpy import save_file
 
 from agent import digest, single_threaded
 from conf import Config, fingerprint, robot_network, version
+from conf.places import STATE
 from env.drawing import trajectory_figure
 from env.link import Fleet
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
 from env.world import World, draw_destinations
 from server_app.access_point import AccessPoint
+from server_app.checkpoint import Checkpoint, save_server
 from server_app.coordinator import Coordinator
 from server_app.evaluation import Evaluator, trajectories
 from server_app.figures import learning_curve
@@ -63,6 +65,10 @@ class Costs:
     flower_bytes: int = 0
     waited_s: float = 0.0
 
+    def plus(self, other: Costs) -> Costs:
+        """Both together."""
+        return Costs(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
 
 class Session:
     """One training run.
@@ -70,14 +76,19 @@ class Session:
     Args:
         config: the run's configuration.
         folder: the run's folder.
+        resumed: where the run goes on, if it does not begin.
     """
 
-    def __init__(self, config: Config, folder: Path) -> None:
+    def __init__(self, config: Config, folder: Path, resumed: Checkpoint | None = None) -> None:
         single_threaded()
-        self.config, self.folder = config, folder
+        self.config, self.folder, self._resumed = config, folder, resumed
+        spent = {"wall_s": 0.0, "cpu_s": 0.0, "waited_s": 0.0}
+        if resumed is not None:
+            spent = resumed.meta["spent"]
+        self._waited_s = spent["waited_s"]
         self._costs: Callable[[], Costs] = Costs
-        self._began = time.perf_counter()
-        self._cpu_before = time.process_time()
+        self._began = time.perf_counter() - spent["wall_s"]
+        self._cpu_before = time.process_time() - spent["cpu_s"]
         self.radio_map = build_radio_map(config.env)
         self.destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         self.world = World(
@@ -85,7 +96,8 @@ class Session:
         )
         self.ap = AccessPoint(config)
         self.evaluator = Evaluator(config, self.radio_map)
-        self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s)
+        marks = None if resumed is None else resumed.meta["marks"]
+        self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s, marks)
 
     def cpu_s(self) -> float:
         """Processor time of this process and of the robots' processes since the run began."""
@@ -96,22 +108,43 @@ class Session:
         first = robot_network(self.config).initial_weights(stream(self.config.seed, Stream.WEIGHTS))
         return np.stack([first, first])
 
-    def train(self, fleet: Fleet, costs: Callable[[], Costs] = Costs) -> dict[str, Any]:
+    def model(self) -> NDArray[np.float32] | None:
+        """What all robots take before the first tick, shape (2, P); None if they hold it."""
+        return self.initial_weights() if self._resumed is None else self._resumed.model
+
+    def train(
+        self,
+        fleet: Fleet,
+        costs: Callable[[], Costs] = Costs,
+        keep: Callable[[int, bool], None] = lambda window, last: None,
+    ) -> dict[str, Any]:
         """Trains with a fleet and writes everything that the run leaves behind.
 
         Args:
-            fleet: the robots, which hold the initial weights.
-            costs: what the runtime has added so far.
+            fleet: the robots, which hold ``model``, and what they had at the checkpoint.
+            costs: what the runtime has added since this process began.
+            keep: writes the robots' checkpoints of a window, if due or the last, where they do
+                not write them themselves.
 
         Returns:
             What ``summary.json`` holds.
         """
-        self._costs = costs
+        before = Costs() if self._resumed is None else Costs(**self._resumed.meta["costs"])
+        self._costs = lambda: before.plus(costs())
         aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
         stop = (self.folder / STOP_FILE).exists
-        run = Coordinator(self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop)
+
+        def checkpoint(last: bool) -> None:
+            keep(run.progress.window, last)
+            self._checkpoint(run, last=last)
+
+        run = Coordinator(
+            self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop, checkpoint
+        )
+        run.waited_s = self._waited_s
+        arrays = None if self._resumed is None else self._resumed.arrays
         try:
-            robots = run.run(self.initial_weights())
+            robots = run.run(self.initial_weights(), arrays)
             trained_s = self.recorder.end_training()
             self.recorder.report("finishing", run.progress)
             summary = self._finish(run, robots, trained_s, shared=aggregator is not None)
@@ -123,6 +156,19 @@ class Session:
         finally:
             self.recorder.close()
         return summary
+
+    def _checkpoint(self, run: Coordinator, *, last: bool) -> None:
+        """Writes the server's checkpoint of a window, where it is due or the run's last."""
+        every, window = self.config.state.every, run.progress.window
+        if every is None or (window % every and not last):
+            return
+        spent = {
+            "wall_s": time.perf_counter() - self._began,
+            "cpu_s": time.process_time() - self._cpu_before,
+            "waited_s": run.waited_s,
+        }
+        meta = {"spent": spent, "costs": asdict(self._costs()), "marks": self.recorder.marks()}
+        save_server(self.folder / STATE, window, run.state(), meta)
 
     def _finish(
         self, run: Coordinator, robots: NDArray[np.float32], trained_s: float, *, shared: bool

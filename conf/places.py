@@ -1,0 +1,31 @@
+"""Where the checkpoints of a run lie, for every side that writes or reads one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agent import checkpoints
+
+STATE = "state"
+"""The folder of checkpoints, below a run's."""
+
+
+def server_folder(state: Path) -> Path:
+    """The server's checkpoints."""
+    return state / "server"
+
+
+def robot_folder(state: Path, robot: int) -> Path:
+    """One robot's checkpoints, written when the server writes its own."""
+    return state / f"robot-{robot:02d}"
+
+
+def round_folder(state: Path, robot: int) -> Path:
+    """One robot's checkpoints from the end of a Flower round to the next, and of a run's end."""
+    return robot_folder(state, robot) / "round"
+
+
+def robot_windows(state: Path, robot: int) -> dict[int, Path]:
+    """The windows of which a robot has a checkpoint, and the folder of each."""
+    folders = (round_folder(state, robot), robot_folder(state, robot))
+    return {window: folder for folder in folders for window in checkpoints(folder)}

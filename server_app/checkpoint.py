@@ -1,0 +1,84 @@
+"""A run's checkpoints: what the server keeps, and the last one that the server and all robots have.
+
+All write at the same window boundaries: the server into ``state/server``, each robot into a folder
+of its own. A checkpoint counts once all have it, so a run goes back to the newest window that is
+whole on every side, and goes on from there to the bits of a run that was never interrupted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import CheckpointError, checkpoints, load_checkpoint, save_checkpoint
+from conf import fingerprint
+from conf.places import robot_windows, server_folder
+
+State = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What the server wrote at a window boundary.
+
+    Attributes:
+        window: windows that had been played.
+        arrays: the coordinator's, see ``Coordinator.state``.
+        meta: counters, and what the run had cost.
+    """
+
+    window: int
+    arrays: State
+    meta: dict[str, Any]
+
+    @property
+    def model(self) -> NDArray[np.float32] | None:
+        """The global model, shape (2, P); None where robots keep their own weights."""
+        return self.arrays.get("run/model")
+
+
+def save_server(state: Path, window: int, arrays: State, meta: Mapping[str, Any]) -> None:
+    """Writes the server's checkpoint of a window; the last two are kept."""
+    save_checkpoint(server_folder(state), window, arrays, {**meta, "fingerprint": fingerprint()})
+
+
+def latest(state: Path, robots: int) -> Checkpoint:
+    """The newest checkpoint that the server and every robot have, whole and unchanged.
+
+    Args:
+        state: the run's folder of checkpoints.
+        robots: K.
+
+    Raises:
+        CheckpointError: there is none; the message says what is wrong with the newest one.
+    """
+    places = [robot_windows(state, robot) for robot in range(robots)]
+    common = set(checkpoints(server_folder(state))).intersection(*places)
+    trouble: CheckpointError | None = None
+    for window in sorted(common, reverse=True):
+        try:
+            for place in places:
+                load_checkpoint(place[window], window)
+            arrays, meta = load_checkpoint(server_folder(state), window)
+        except CheckpointError as error:
+            trouble = trouble or error
+        else:
+            return Checkpoint(window, arrays, meta)
+    missing = f"{state} holds no checkpoint that the server and all {robots} robots have"
+    raise trouble or CheckpointError(missing)
+
+
+def flat(parts: Mapping[str, State]) -> dict[str, NDArray[Any]]:
+    """One mapping of the arrays of several parts, named ``part/name``."""
+    return {f"{part}/{name}": a for part, arrays in parts.items() for name, a in arrays.items()}
+
+
+def part(arrays: State, name: str) -> dict[str, NDArray[Any]]:
+    """The arrays of one part, as ``flat`` took them."""
+    own = f"{name}/"
+    return {key.removeprefix(own): a for key, a in arrays.items() if key.startswith(own)}
