@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -48,10 +49,26 @@ class Keeper:
         due = self._every is not None and window % self._every == 0
         if not due and not last:
             return
-        for index, robot in enumerate(self._group.robots):
-            folder = robot_folder(self._state, robot) if due else round_folder(self._state, robot)
-            arrays = self._group.agents.agent_state(index)
-            save_checkpoint(folder, window, arrays, {"robot": robot})
+        save_state(self._group, self._state, window, robot_folder if due else round_folder)
+
+
+def save_state(
+    group: RobotGroup,
+    state: Path,
+    window: int,
+    place: Callable[[Path, int], Path] = robot_folder,
+) -> None:
+    """Writes each robot's checkpoint of a window: replay, moments, random state, weights.
+
+    Args:
+        group: the robots.
+        state: the folder of checkpoints on this machine.
+        window: windows that have been played.
+        place: the folder of a robot's checkpoints, below ``state``.
+    """
+    for index, robot in enumerate(group.robots):
+        arrays = group.agents.agent_state(index)
+        save_checkpoint(place(state, robot), window, arrays, {"robot": robot})
 
 
 def load_state(group: RobotGroup, state: Path, window: int) -> None:
@@ -63,6 +80,6 @@ def load_state(group: RobotGroup, state: Path, window: int) -> None:
     for index, robot in enumerate(group.robots):
         folder = robot_windows(state, robot).get(window)
         if folder is None:
-            raise CheckpointError(f"{state} holds no checkpoint of robot {robot}, window {window}")
+            raise CheckpointError(f"{robot_folder(state, robot)} holds no checkpoint {window}")
         arrays, _ = load_checkpoint(folder, window)
         group.agents.restore_agent(index, arrays)

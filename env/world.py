@@ -202,13 +202,16 @@ class World:
         """Where an episode is, as copies; without the random streams."""
         state = {"cell": self.cell, "driving": self.driving, "slot": self.slot}
         if self._fading is not None:
-            state["fading"] = self._fading
+            state["fading"] = np.stack([self._fading.real, self._fading.imag])
         return {name: array.copy() for name, array in state.items()}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave; the streams are the caller's to restore."""
         self.cell, self.driving = state["cell"].copy(), state["driving"].copy()
-        self.slot, self._fading = state["slot"].copy(), state.get("fading")
+        self.slot = state["slot"].copy()
+        if "fading" in state:
+            real, imaginary = state["fading"]
+            self._fading = real + 1j * imaginary
 
     def draw_starts(self, count: int) -> NDArray[np.int64]:
         """Start cells, shape (count, K): fixed ones, or drawn from the world's stream."""

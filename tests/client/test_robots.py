@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from agent import CheckpointError, checkpoints
 from client_app.app import Order
 from client_app.robots import RobotGroup
-from client_app.state import load_state, robot_folder, save_state
+from client_app.state import load_state, save_state
 from conf import Config, robot_network, to_yaml
+from conf.places import robot_folder
 from env.link import UPDATE, Flag, Step, Want
 from env.seeding import Stream, stream
 
@@ -188,7 +189,7 @@ def test_a_missing_or_damaged_checkpoint_is_an_error_that_names_the_file(
     with pytest.raises(CheckpointError, match="robot-00"):
         load_state(group, tmp_path, 1)
     save_state(group, tmp_path, 1)
-    (path,) = robot_folder(tmp_path, 1).iterdir()
+    (path,) = robot_folder(tmp_path, 1).glob("*.safetensors")
     path.write_bytes(path.read_bytes()[:-9])
     with pytest.raises(CheckpointError, match="robot-01"):
         load_state(group, tmp_path, 1)

@@ -137,7 +137,7 @@ def test_a_sweep_leaves_a_folder_in_use_as_it_is(
 def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail_once(config: Config, folder: Path) -> dict[str, Any]:
+    def fail_once(config: Config, folder: Path, resumed: object) -> dict[str, Any]:
         if config.seed == 0:
             raise FlowerError("Port 1 is in use.")
         return local.train(config, folder)
@@ -149,7 +149,7 @@ def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(
 
 
 def test_ctrl_c_ends_a_whole_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(config: Config, folder: Path) -> dict[str, Any]:
+    def interrupted(config: Config, folder: Path, resumed: object) -> dict[str, Any]:
         signal.raise_signal(signal.SIGINT)
         return local.train(config, folder)
 

@@ -148,6 +148,7 @@ def test_a_run_leaves_no_temporary_files(tiny_run: Path) -> None:
         "figures",
         "metrics.csv",
         "progress.json",
+        "state",
         "summary.json",
         "tensorboard",
         "weights.safetensors",

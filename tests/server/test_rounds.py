@@ -23,10 +23,9 @@ from flwr.app import (
 from flwr.serverapp import Grid
 from flwr.supercore.task_identity import TaskIdentity
 
-from agent import checkpoints
 from client_app.app import Order, train
-from client_app.state import robot_folder
 from conf import Config, robot_network
+from conf.places import robot_windows, round_folder
 from env.link import LinkError, LinkServer, serve
 from env.seeding import Stream, stream
 from server_app.rounds import FlowerFleet, RoundError, deal, wait_for_nodes
@@ -265,14 +264,14 @@ def test_state_files_carry_each_robot_from_round_to_round(
     config = on_flower({"federation.windows_per_round": 2, "train.max_ticks": 60})
     play(config, fleet=make_fleet(config, FakeGrid(2)))
     for robot in range(3):
-        assert checkpoints(robot_folder(Path(str(config.run.dir)) / "state", robot)) == [4, 6]
+        assert sorted(robot_windows(Path(str(config.run.dir)) / "state", robot)) == [4, 6]
 
 
 def test_a_robot_whose_state_is_gone_fails_the_run_by_name(
     on_flower: Tiny, make_fleet: Callable[..., FlowerFleet], play: Play
 ) -> None:
     config = on_flower({"federation.windows_per_round": 2})
-    folder = robot_folder(Path(str(config.run.dir)) / "state", 2)
+    folder = round_folder(Path(str(config.run.dir)) / "state", 2)
 
     def forgetful(message: Message, context: Context) -> Message:
         for file in folder.glob("checkpoint-*"):
