@@ -7,7 +7,8 @@ from dataclasses import fields, is_dataclass, replace
 from numbers import Integral, Real
 from typing import Any
 
-from env.config import EnvConfig, problems
+from env.config import EnvConfig
+from env.config_checks import problems
 
 
 def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvConfig:
