@@ -23,9 +23,13 @@ class RoomConfig:
 
 @dataclass(frozen=True)
 class WallsConfig:
-    """Full-height walls, each ``[x0, y0, x1, y1]`` in m. They shade radio links."""
+    """Full-height walls, each ``[x0, y0, x1, y1]`` in m. They shade radio links.
+
+    With ``block_motion`` they are solid: a move that touches or crosses one stays put.
+    """
 
     segments: list[Any] = field(default_factory=lambda: [[0.0, 15.0, 21.0, 15.0]])
+    block_motion: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,7 @@ class RewardConfig:
 
     rate: float = 0.05  # phi
     guidance: float = 3.0  # psi
+    distance: str = "straight"  # d: straight, or way over the floor
     time: float = -1.0  # R_time, Table I
     goal: float = 100.0  # R_goal, Table I
     sum_rate: float = 0.1  # tau_1, Table I
@@ -150,6 +155,7 @@ class EnvConfig:
 
     robots: int = 3  # K
     map_seed: int = 0
+    collisions: str = "allow"
     access: str = "noma"
     metric: str = "qos"
     room: RoomConfig = field(default_factory=RoomConfig)
@@ -174,6 +180,7 @@ MAX_CELLS = 250_000
 CHOICES: dict[str, tuple[str, ...]] = {
     "env.access": ("noma", "oma"),
     "env.metric": ("qos", "qoe"),
+    "env.collisions": ("allow", "block"),
     "env.oma.share": ("fixed", "reallocate"),
     "env.tasks.destination": ("fixed", "random", "common"),
     "env.tasks.start": ("random", "fixed"),
@@ -183,6 +190,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "env.channel.los_phase": ("zero", "distance"),
     "env.power.resolve": ("project", "residual", "zero"),
     "env.state.destination": ("offset", "none"),
+    "env.reward.distance": ("straight", "way"),
 }
 POSITIVE = (
     "env.room.cell_m",

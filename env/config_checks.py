@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from env.config import (
     BETWEEN,
     CHOICES,
@@ -18,6 +21,8 @@ from env.config import (
     Problem,
     RoomConfig,
 )
+from env.floor import Floor
+from env.reward import distance_m
 
 
 def problems(config: EnvConfig) -> list[Problem]:
@@ -87,7 +92,7 @@ def _geometry_problems(config: EnvConfig) -> list[Problem]:
         if not _numbers(segment, 4) or segment[:2] == segment[2:]:
             found.append(("env.walls.segments", segment, "segments [x0, y0, x1, y1] in m"))
     starts = _fixed_start_problems if config.tasks.start == "fixed" else _start_problems
-    return found or _destination_problems(config) or starts(config)
+    return found or _destination_problems(config) or starts(config) or _way_problems(config)
 
 
 def _destination_problems(config: EnvConfig) -> list[Problem]:
@@ -144,6 +149,9 @@ def _fixed_start_problems(config: EnvConfig) -> list[Problem]:
     if len(starts) < config.robots:
         say = f"at least env.robots={config.robots} places with env.tasks.start=fixed"
         return [(key, starts, say)]
+    cells = [_cell(room, start) for start in starts[: config.robots]]
+    if config.collisions == "block" and len({*cells}) < len(cells):
+        return [(key, starts, "places in cells of their own with env.collisions=block")]
     goals, _ = _given_destinations(config)
     if config.tasks.destination == "common":
         goals = goals * config.robots
@@ -152,6 +160,46 @@ def _fixed_start_problems(config: EnvConfig) -> list[Problem]:
         for start, goal in zip(starts, goals, strict=False)
         if _cell(room, start) == _cell(room, goal)
     ]
+
+
+def _way_problems(config: EnvConfig) -> list[Problem]:
+    """With solid walls, whether given places are cut off, and whether starts are far enough."""
+    if not config.walls.block_motion:
+        return []
+    floor, tasks = Floor.from_config(config), config.tasks
+    drivable, (goals, number) = floor.drivable(), _given_destinations(config)
+    places = [("env.tasks.destinations_m", goal) for goal in goals]
+    if tasks.start == "fixed":
+        places += [("env.tasks.starts_m", start) for start in tasks.starts_m[: config.robots]]
+    allowed = "places that the rest of the floor can reach with env.walls.block_motion=true"
+    found: list[Problem] = [
+        (key, place, allowed)
+        for key, place in places
+        if not drivable[floor.cell_at(np.asarray(place, dtype=np.float64))]
+    ]
+    if found or tasks.start == "fixed":
+        return found
+    cells = floor.cell_at(np.asarray(goals, dtype=np.float64).reshape(-1, 2))
+    if number > len(goals):  # further ones are drawn, from all of it
+        cells = np.flatnonzero(drivable)
+    reach = float(_farthest_m(floor, drivable, cells).min())
+    if tasks.start_distance_m <= reach:
+        return []
+    allowed = f"at most {reach:.4g}, since no cell with a way to a destination is farther from it"
+    return [("env.tasks.start_distance_m", tasks.start_distance_m, allowed)]
+
+
+def _farthest_m(
+    floor: Floor, drivable: NDArray[np.bool_], cells: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """From each cell to the farthest drivable one, which is the first or the last of its row."""
+    rows = drivable.reshape(floor.rows, floor.columns)
+    first, last = rows.argmax(axis=1), floor.columns - 1 - rows[:, ::-1].argmax(axis=1)
+    ends = np.concatenate([first, last]) + np.tile(np.arange(floor.rows), 2) * floor.columns
+    centres, far_m = floor.centres(), np.zeros(len(cells))
+    for end in ends[np.tile(rows.any(axis=1), 2)]:
+        far_m = np.maximum(far_m, distance_m(centres[cells], centres[end]))
+    return far_m
 
 
 def _cell(room: RoomConfig, position: Sequence[float]) -> tuple[int, ...]:
