@@ -4,7 +4,7 @@ from conf.checks import problems
 from conf.compose import (
     ConfigError,
     compose,
-    from_node,
+    from_composed,
     from_yaml,
     register_schema,
     to_yaml,
@@ -21,7 +21,7 @@ __all__ = [
     "compose",
     "fingerprint",
     "flower_clients",
-    "from_node",
+    "from_composed",
     "from_yaml",
     "problems",
     "register_schema",

@@ -151,8 +151,13 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class EnvConfig:
-    """The world of one run."""
+    """The world of one run.
 
+    ``plan`` names the floor plan that gave the geometry; a whole configuration holds its values,
+    and nothing reads the plan again.
+    """
+
+    plan: str = "default"
     robots: int = 3  # K
     map_seed: int = 0
     collisions: str = "allow"
