@@ -1,6 +1,7 @@
 """Floor plans: the built-in ones, a user's own, and what wins over them."""
 
 import dataclasses
+import re
 import shutil
 import sys
 import tomllib
@@ -255,6 +256,46 @@ def test_every_key_of_every_built_in_plan_is_one_that_a_plan_may_set():
         values = tomllib.loads(floor_plans.find(name).read_text())
         keys = {f"{group}.{key}" for group, inner in values.items() for key in inner}
         assert keys == {*floor_plans.KEYS}
+
+
+# The document.
+
+
+def blocks(language):
+    text = (FOLDER.parent / "docs" / "floor_plans.md").read_text()
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def test_the_documents_example_is_a_plan_that_trains(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    [text] = blocks("toml")
+    (tmp_path / "two_rooms.toml").write_text(text)
+    config = compose(["env.plan=two_rooms.toml"]).env
+    floor = Floor.from_config(config)
+    assert floor.drivable().all()
+    through_the_door = floor.cell_at(np.array([6.25, 1.25])), floor.cell_at(np.array([1.25, 1.25]))
+    there = floor.slots_to(np.array([through_the_door[0]]))[through_the_door[1], 0]
+    assert there == 10 + 2 * 2  # ten cells across, and up to the door and down again
+    limits = ["train.max_ticks=50", "evaluation.episodes=2", "run.figures=false"]
+    command = ["train", "runtime=local", "env.plan=two_rooms.toml", "env.reward.distance=way"]
+    assert main([*command, *limits, "run.tensorboard=false", "run.dir=run"]) == 0
+    assert from_yaml((tmp_path / "run" / "config.yaml").read_text()).env.plan == "two_rooms.toml"
+
+
+def test_the_documents_script_draws_the_pictures(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "docs" / "images").mkdir(parents=True)
+    [script] = blocks("python")
+    exec(script, {})
+    drawn = sorted(path.name for path in (tmp_path / "docs" / "images").glob("*.png"))
+    assert drawn == ["plan_corridor.png", "plan_hall.png"]
+
+
+def test_the_document_names_every_plan_and_key():
+    text = (FOLDER.parent / "docs" / "floor_plans.md").read_text()
+    named = {*re.findall(r"`([\w.*]+)`", text)}
+    assert {*NAMES} <= named
+    assert {key for key in floor_plans.KEYS if not key.startswith("tasks.")} <= named
 
 
 def test_the_plans_content_is_part_of_the_fingerprint(monkeypatch, tmp_path):
