@@ -4,7 +4,7 @@ from conf.checks import problems
 from conf.compose import (
     ConfigError,
     compose,
-    from_node,
+    from_composed,
     from_yaml,
     overridden,
     register_schema,
@@ -22,7 +22,7 @@ __all__ = [
     "compose",
     "fingerprint",
     "flower_clients",
-    "from_node",
+    "from_composed",
     "from_yaml",
     "overridden",
     "problems",

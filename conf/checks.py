@@ -8,7 +8,7 @@ from typing import Any
 from agent.config import problems as agent_problems
 from conf.schema import Config
 from env.config import Problem
-from env.config import problems as env_problems
+from env.config_checks import problems as env_problems
 from env.seeding import Stream, stream
 from env.world import draw_destinations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
 from collections.abc import Sequence
@@ -22,7 +23,9 @@ from yaml import YAMLError  # type: ignore[import-untyped]
 
 from conf.checks import problems
 from conf.schema import Config
-from env.config import Problem
+from env.checks import planned_config
+from env.config import EnvConfig, Problem
+from env.floor_plans import KEYS as PLAN_KEYS
 
 FOLDER = Path(__file__).parent
 GROUPS = ("env", "agent", "strategy", "runtime", "experiment")
@@ -78,7 +81,39 @@ def compose(overrides: Sequence[str] = ()) -> Config:
             node = hydra_compose("config", overrides=list(overrides))
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(_first_sentence(error)) from error
+    return from_composed(node, overrides)
+
+
+def from_composed(node: DictConfig, overrides: Sequence[str]) -> Config:
+    """Turns what Hydra composed into a checked configuration, the floor plan's values included.
+
+    Args:
+        node: the composed node.
+        overrides: those that it was composed with.
+
+    Raises:
+        ConfigError: a wrong plan, value or combination.
+    """
+    given = {OverridesParser.create().parse_override(text).key_or_group for text in overrides}
+    try:
+        planned = planned_config(node.env.plan)
+        node = copy.deepcopy(node)
+        for key in (f"env.{name}" for name in PLAN_KEYS):
+            # What an override, a group's file or an experiment changed is above the plan.
+            if key not in given and OmegaConf.select(node, key) == _check_key(key):
+                OmegaConf.update(node, key, _value_at(planned, key))
+    except OmegaConfBaseException as error:
+        raise ConfigError(_first_sentence(error)) from error
+    except ValueError as error:
+        raise ConfigError(f"{error}.") from error
     return from_node(node)
+
+
+def _value_at(env: EnvConfig, key: str) -> Any:
+    value: Any = env
+    for name in key.split(".")[1:]:
+        value = getattr(value, name)
+    return value
 
 
 def from_node(node: DictConfig) -> Config:

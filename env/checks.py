@@ -7,7 +7,9 @@ from dataclasses import fields, is_dataclass, replace
 from numbers import Integral, Real
 from typing import Any
 
-from env.config import EnvConfig, problems
+from env import floor_plans
+from env.config import EnvConfig
+from env.config_checks import problems
 
 
 def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvConfig:
@@ -15,7 +17,8 @@ def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvCo
 
     Args:
         config: a configuration; or the fields that differ from the defaults, nested as in
-            ``{"robots": 2, "ris": {"side": 0}}``; or None, for the defaults.
+            ``{"robots": 2, "ris": {"side": 0}}``, or from a floor plan, as in
+            ``{"plan": "corridor", "robots": 2}``; or None, for the defaults.
 
     Returns:
         The configuration.
@@ -26,13 +29,30 @@ def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvCo
     if isinstance(config, EnvConfig):
         whole = config
     else:
-        whole = _replaced(EnvConfig(), {} if config is None else config, "env")
+        given = {} if config is None else config
+        plan = given.get("plan", floor_plans.DEFAULT) if isinstance(given, Mapping) else None
+        base = planned_config(plan) if isinstance(plan, str) else EnvConfig()
+        whole = _replaced(base, given, "env")
     found = problems(whole)
     if found:
         raise ValueError(
             "\n".join(f"{key}={value!r}: allowed is {say}" for key, value, say in found)
         )
     return whole
+
+
+def planned_config(plan: str) -> EnvConfig:
+    """The defaults with a floor plan's geometry, its types checked and its values not yet.
+
+    Args:
+        plan: the name of a built-in plan, or the path of a TOML file.
+
+    Raises:
+        ValueError: naming the plan, the key and what is allowed.
+    """
+    values = floor_plans.read(plan)
+    config: EnvConfig = _replaced(EnvConfig(plan=plan), values, f"env.plan={plan}: env")
+    return config
 
 
 def _replaced(base: Any, values: Any, key: str) -> Any:

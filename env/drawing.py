@@ -33,7 +33,7 @@ def best_gain_db(radio_map: RadioMap) -> NDArray[np.float64]:
 
 
 def draw_floor(axes: Axes, config: EnvConfig, radio_map: RadioMap) -> AxesImage:
-    """Draws the radio map with walls, AP and RIS.
+    """Draws the radio map with walls, AP and RIS; cells that solid walls cut off have no gain.
 
     Args:
         axes: where to draw.
@@ -45,21 +45,32 @@ def draw_floor(axes: Axes, config: EnvConfig, radio_map: RadioMap) -> AxesImage:
     """
     floor = Floor.from_config(config)
     width, depth = floor.size_m
-    gain = best_gain_db(radio_map).reshape(floor.rows, floor.columns)
-    low, high = np.percentile(gain, (2, 98))
+    gain = np.where(floor.drivable(), best_gain_db(radio_map), np.nan)
+    low, high = np.nanpercentile(gain, (2, 98))
+    gain = gain.reshape(floor.rows, floor.columns)
     image = axes.imshow(
         gain, origin="lower", extent=(0, width, 0, depth), cmap="Greys_r", vmin=low, vmax=high
     )
-    for x0, y0, x1, y1 in floor.walls:
-        axes.plot([x0, x1], [y0, y1], color="black", linewidth=4, solid_capstyle="butt")
+    ends = "projecting" if floor.solid else "butt"
+    for colour, points in (("white", 6.5), ("black", 4.0)) if floor.solid else (("black", 4.0),):
+        for x0, y0, x1, y1 in floor.walls:
+            axes.plot([x0, x1], [y0, y1], color=colour, linewidth=points, solid_capstyle=ends)
+    axes.set_facecolor("#c9b79c")
     ap, ris = config.ap.position_m, config.ris.position_m
     axes.plot(ap[0], ap[1], "^", color="#00b894", markersize=12, mec="black", clip_on=False)
-    _label(axes, ap, "AP", (0, -16))
+    _label(axes, ap, "AP", _inwards(ap, floor))
     if config.ris.side:
         axes.plot(ris[0], ris[1], "s", color="#00cec9", markersize=10, mec="black", clip_on=False)
-        _label(axes, ris, "RIS", (-20, -4))
+        _label(axes, ris, "RIS", _inwards(ris, floor))
     axes.set(xlim=(0, width), ylim=(0, depth), xlabel="x (m)", ylabel="y (m)", aspect="equal")
     return image
+
+
+def _inwards(position: list[float], floor: Floor) -> tuple[int, int]:
+    """Where a label goes, in points from its mark: away from the wall that is nearest."""
+    (x, y), (width, depth) = position[:2], floor.size_m
+    offsets = {(0, -16): depth - y, (-20, -4): width - x, (0, 16): y, (20, -4): x}
+    return min(offsets, key=lambda offset: float(offsets[offset]))
 
 
 def _label(axes: Axes, position: list[float], text: str, offset: tuple[int, int]) -> None:
@@ -126,7 +137,9 @@ def trajectory_figure(
         The figure.
     """
     count = len(titles)
-    figure = Figure(figsize=(4.6 * count + 0.9, 5.2), layout="compressed")
+    room = config.room
+    height = 0.9 + 4.3 * min(room.depth_m / room.width_m, 2.0)
+    figure = Figure(figsize=(4.6 * count + 0.9, height), layout="compressed")
     panels = figure.subplots(1, count, squeeze=False, sharey=True)[0]
     for index, axes in enumerate(panels):
         image = draw_floor(axes, config, radio_map)

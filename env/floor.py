@@ -1,4 +1,4 @@
-"""The floor plan: cells, walls, lines of sight and shortest lengths."""
+"""The floor: cells, walls, moves, ways and lines of sight."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from env.config import EnvConfig
 DIRECTIONS = ("n", "s", "e", "w")
 STEPS = np.array([(0, 1), (0, -1), (1, 0), (-1, 0)])
 """Change of (column, row) for each direction, shape (4, 2)."""
+UNREACHABLE = 1_000_000_000
+"""Slots from a cell that no way leads from: more than any floor has cells."""
 
 
 @dataclass(frozen=True)
@@ -23,21 +25,22 @@ class Floor:
         rows: cells along y.
         cell_m: side of a cell, Delta_S.
         walls: segments, shape (W, 4), each x0, y0, x1, y1 in m.
+        solid: whether walls stop robots, too.
     """
 
     columns: int
     rows: int
     cell_m: float
     walls: NDArray[np.float64]
+    solid: bool = False
 
     @classmethod
     def from_config(cls, config: EnvConfig) -> Floor:
         """The floor that a configuration describes."""
         room = config.room
         walls = np.asarray(config.walls.segments, dtype=np.float64).reshape(-1, 4)
-        return cls(
-            round(room.width_m / room.cell_m), round(room.depth_m / room.cell_m), room.cell_m, walls
-        )
+        columns, rows = (round(side / room.cell_m) for side in (room.width_m, room.depth_m))
+        return cls(columns, rows, room.cell_m, walls, config.walls.block_motion)
 
     @property
     def cells(self) -> int:
@@ -73,20 +76,73 @@ class Floor:
         return np.asarray(index[..., 1] * self.columns + index[..., 0])
 
     def neighbours(self) -> NDArray[np.int64]:
-        """The cell that each move leads to, shape (cells, 4); out of the room is where one was."""
+        """The cell that each move leads to, shape (cells, 4).
+
+        Out of the room is where one was, and so is, where walls are solid, any cell whose centre
+        lies across a wall or on it: the straight line between the centres must touch none.
+        """
         cell = np.arange(self.cells)
         place = np.stack([cell % self.columns, cell // self.columns], axis=-1)
         moved = place[:, None, :] + STEPS
-        inside = ((moved >= 0) & (moved < (self.columns, self.rows))).all(axis=-1)
-        return np.where(inside, moved[..., 1] * self.columns + moved[..., 0], cell[:, None])
+        free = ((moved >= 0) & (moved < (self.columns, self.rows))).all(axis=-1)
+        if self.solid:
+            free &= ~self._walled((moved + 0.5) * self.cell_m)
+        return np.where(free, moved[..., 1] * self.columns + moved[..., 0], cell[:, None])
+
+    def _walled(self, stop_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which moves touch a wall, given where each ends, (cells, 4, 2); shape (cells, 4)."""
+        start_m = self.centres()[:, None]
+        low_m, high_m = np.minimum(start_m, stop_m), np.maximum(start_m, stop_m)
+        walled = np.zeros(stop_m.shape[:2], dtype=bool)
+        for wall in self.walls.reshape(-1, 2, 2):
+            beside = (low_m <= wall.max(axis=0)) & (high_m >= wall.min(axis=0))
+            near = beside.all(axis=-1)
+            walled[near] |= _touches(low_m[near], high_m[near], wall[0], wall[1])
+        return walled
+
+    def slots_to(self, destinations: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Fewest slots from every cell to each destination along the moves that robots have.
+
+        Args:
+            destinations: cells, shape (n,).
+
+        Returns:
+            Slots, shape (cells, n); ``UNREACHABLE`` where solid walls leave no way.
+        """
+        if not self.solid:
+            return self.shortest_slots(np.arange(self.cells)[:, None], destinations)
+        moves = self.neighbours()
+        slots = np.full((self.cells, len(destinations)), UNREACHABLE)
+        for column, destination in zip(slots.T, destinations, strict=True):
+            front, length = np.array([destination]), 0
+            while len(front):
+                column[front] = length
+                reached = np.unique(moves[front])
+                front, length = reached[column[reached] == UNREACHABLE], length + 1
+        return slots
 
     def shortest_slots(
         self, start: NDArray[np.int64], destination: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Fewest slots between cells: the Manhattan length in cells, broadcast shape."""
+        """Fewest slots where no wall is solid: the Manhattan length in cells, broadcast shape."""
         columns = np.abs(start % self.columns - destination % self.columns)
         rows = np.abs(start // self.columns - destination // self.columns)
         return np.asarray(columns + rows)
+
+    def drivable(self) -> NDArray[np.bool_]:
+        """The largest part of the floor whose cells all reach each other, shape (cells,).
+
+        All of it where walls are not solid; of parts of one size, the one with the lowest cell.
+        """
+        if not self.solid:
+            return np.ones(self.cells, dtype=bool)
+        moves, part = self.neighbours(), np.arange(self.cells)
+        while True:  # each cell takes the lowest cell that it hears of, and what that one heard
+            heard = np.minimum(part, part[moves].min(axis=-1))
+            heard = heard[heard]
+            if (heard == part).all():
+                return np.asarray(part == np.bincount(part).argmax())
+            part = heard
 
 
 def line_of_sight(
@@ -106,9 +162,17 @@ def line_of_sight(
     """
     if not len(walls):
         return np.ones(len(points_m), dtype=bool)
-    end = np.asarray(end_m)[:2]
-    a, b = walls[:, :2], walls[:, 2:]
-    point = points_m[:, None, :]
+    end, point = np.asarray(end_m)[:2], points_m[:, None, :]
+    return np.asarray(~_touches(end, point, walls[:, :2], walls[:, 2:]).any(axis=-1))
+
+
+def _touches(
+    end: NDArray[np.float64],
+    point: NDArray[np.float64],
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Whether the segments end-point and a-b have a point in common; all (..., 2), broadcast."""
     # Each segment's ends lie on both sides of (or on) the other segment's line.
     d1, d2 = _side(a, b, end), _side(a, b, point)
     d3, d4 = _side(end, point, a), _side(end, point, b)
@@ -116,7 +180,7 @@ def line_of_sight(
     # In line with a wall, both products are 0: they cross where their extents overlap.
     low = np.maximum(np.minimum(a, b), np.minimum(end, point))
     high = np.minimum(np.maximum(a, b), np.maximum(end, point))
-    return np.asarray(~(crosses & (low <= high).all(axis=-1)).any(axis=-1))
+    return np.asarray(crosses & (low <= high).all(axis=-1))
 
 
 def _side(

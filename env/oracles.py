@@ -15,34 +15,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env import access, reward
-from env.floor import STEPS, Floor
+from env.floor import STEPS
 from env.world import World
 
 MAX_COMBINATIONS = 200_000
 """Phases times powers of one world that are searched: a few hundred MB."""
 
-_DIRECTION = {(int(x), int(y)): index for index, (x, y) in enumerate(STEPS)}
 
+def shortest_directions(world: World) -> NDArray[np.int64]:
+    """The next move of a shortest way, round solid walls too.
 
-def shortest_directions(
-    floor: Floor, cell: NDArray[np.int64], destination: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """The next move of a shortest way: along the longer axis, x where both are equal.
+    Of the moves that shorten the way, one along the axis on which the destination is farther, x
+    where both are equal; on that axis, or off it, one towards the destination rather than away.
 
     Args:
-        floor: the floor plan.
-        cell: where robots are, shape (..., K).
-        destination: the cells that they are going to, broadcast against ``cell``.
+        world: B worlds; not changed.
 
     Returns:
-        Indices into ``floor.DIRECTIONS``, of the broadcast shape (of no meaning at the
-        destination itself, where there is nothing left to drive).
+        Indices into ``floor.DIRECTIONS``, shape (B, K) (of no meaning at the destination itself,
+        where there is nothing left to drive).
     """
-    right = destination % floor.columns - cell % floor.columns
-    up = destination // floor.columns - cell // floor.columns
-    along_x = np.where(right > 0, _DIRECTION[1, 0], _DIRECTION[-1, 0])
-    along_y = np.where(up > 0, _DIRECTION[0, 1], _DIRECTION[0, -1])
-    return np.where(np.abs(right) >= np.abs(up), along_x, along_y)
+    floor, goal = world.floor, world.destinations
+    right = goal % floor.columns - world.cell % floor.columns
+    up = goal // floor.columns - world.cell // floor.columns
+    robot = np.arange(world.robots)
+    there = world.slots_to_go[world.next_cell[world.cell], robot[:, None]]
+    shorter = there < world.slots_to_go[world.cell, robot][..., None]
+    longer = (np.abs(right) >= np.abs(up))[..., None] == (STEPS[:, 0] != 0)
+    towards = right[..., None] * STEPS[:, 0] + up[..., None] * STEPS[:, 1] > 0
+    return np.asarray(np.where(shorter, 1 + 2 * longer + towards, 0).argmax(axis=-1))
 
 
 def phase_gains(world: World) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 from env import actions as robot_actions
 from env.checks import checked_config
 from env.config import EnvConfig
+from env.floor import UNREACHABLE
 from env.seeding import Stream, stream
 from env.world import Outcome, World, draw_destinations
 
@@ -48,8 +49,10 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | robot | ``Discrete(4 N_P)`` | direction (n, s, e, w) * N_P + level - 1; power P_max/2^level |
     | ap    | ``Discrete(N_R^N)`` | its N base-N_R digits are phases, (digit + 1/2) 2 pi / N_R    |
 
-    A move out of the room stays put. Levels are picks: with ``power.resolve=project`` the AP sends
-    the nearest combination that every robot can decode. With OMA they have no effect.
+    A move out of the room stays put, with ``walls.block_motion`` also one through a wall, with
+    ``collisions=block`` one into another robot's cell (lower index first). Levels are picks: with
+    ``power.resolve=project`` the AP sends the nearest combination that every robot can decode.
+    With OMA they have no effect.
 
     ## Observation Space
 
@@ -73,8 +76,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     ## Rewards
 
     Not scaled. A robot: phi R + psi (distance gone towards the destination, in m) - 1, and + 100
-    where it arrives, with phi = 0.05 and psi = 3. The access point: 0.1 times the sum of rates.
-    With ``metric=qoe`` the quality lg(R) of those that drive stands for R in both.
+    where it arrives, with phi = 0.05 and psi = 3; the distance is straight, with
+    ``reward.distance=way`` the shortest over the floor. The access point: 0.1 times the sum of
+    rates. With ``metric=qoe`` the quality lg(R) of those that drive stands for R in both.
 
     ## Starting State
 
@@ -188,6 +192,11 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         cell = self.world.floor.cell_at(position)
         if (cell == self.world.destinations).any():
             raise ValueError(f"options.starts_m={starts_m!r}: allowed is off the destination")
+        cut_off = self.world.slots_to_go[cell, np.arange(len(cell))] == UNREACHABLE
+        if cut_off.any():
+            raise ValueError(f"options.starts_m={starts_m!r}: allowed is with a way to drive")
+        if self.config.collisions == "block" and len({*cell.tolist()}) < len(cell):
+            raise ValueError(f"options.starts_m={starts_m!r}: allowed is in cells of their own")
         return cell
 
     def step(

@@ -42,7 +42,9 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     | 2         | east, x + 0.5 m  |
     | 3         | west, x - 0.5 m  |
 
-    Level l = 1 ... N_P asks for the power P_max / 2^l; out of the room, a robot stays put.
+    Level l = 1 ... N_P asks for the power P_max / 2^l; out of the room, a robot stays put,
+    and so it does before a wall with ``walls.block_motion`` and before a robot with
+    ``collisions=block``, where the others give way to nobody and may stand before it to the end.
 
     ## Observation Space
 
@@ -150,7 +152,7 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         level = oracles.canonical_levels(gain, world.driving[:, None], levels)
         level[..., 0] = actions.decode(np.asarray(action), levels)[1]
         phase = int(oracles.best_phase(world, level)[0])
-        direction = oracles.shortest_directions(world.floor, world.cell, world.destinations)
+        direction = oracles.shortest_directions(world)
         codes = actions.encode(direction, level[:, phase], levels)[0]
         others = zip(self._fleet.robots[1:], codes[1:], strict=True)
         return {ROBOT: action, AP: phase, **dict(others)}

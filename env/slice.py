@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from env import reward
+from env import guidance, reward
 from env.config import EnvConfig
 from env.floor import Floor
 from env.observation import Observer
@@ -26,8 +26,10 @@ class Slice:
     def __init__(self, config: EnvConfig, destinations: NDArray[np.int64]) -> None:
         self._observer = Observer(config)
         self._config = config
-        self._centres = Floor.from_config(config).centres()
         self._destinations = destinations
+        floor = Floor.from_config(config)
+        self._distance_m = guidance.distances_m(floor, destinations, config.reward.distance)
+        self._robot = np.arange(len(destinations))
         self.observation_size = self._observer.local_size
 
     def observe(
@@ -54,8 +56,7 @@ class Slice:
         Returns:
             Rewards, unscaled, shape (n,).
         """
-        goal = self._centres[self._destinations]
-        before = reward.distance_m(self._centres[left], goal)
-        after = reward.distance_m(self._centres[reached], goal)
+        before = self._distance_m[left, self._robot]
+        after = self._distance_m[reached, self._robot]
         counted = reward.metric(rate, self._config)
         return reward.local_reward(counted, before, after, arrived, self._config.reward)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from env import reward
+from env import collisions, guidance, reward, starts
 from env.allocation import Allocation, Downlink
 from env.config import EnvConfig
 from env.floor import Floor
@@ -70,7 +70,8 @@ class World:
         driving: which robots are driving, shape (B, K).
         slot: slots since the episode began, shape (B,).
         next_cell: the cell that each move leads to, shape (cells, 4).
-        slots_to_go: fewest slots from each cell to each robot's destination, shape (cells, K).
+        slots_to_go: fewest slots from each cell to each robot's destination, ``UNREACHABLE``
+            where solid walls leave no way, shape (cells, K).
     """
 
     def __init__(
@@ -90,15 +91,11 @@ class World:
         self.generator = generator
         self.slot_s = config.room.cell_m / config.motion.speed_mps
         self.next_cell = self.floor.neighbours()
-        every_cell = np.arange(self.floor.cells)[:, None]
-        self.slots_to_go = self.floor.shortest_slots(every_cell, destinations)
-        centres = self.floor.centres()
-        self._distance_m = reward.distance_m(centres[:, None], centres[destinations])
-        self._starts = [
-            np.flatnonzero(self._distance_m[:, k] >= config.tasks.start_distance_m)
-            for k in range(len(destinations))
-        ]
-        self._fixed_starts = _fixed_starts(config, self.floor)
+        self.slots_to_go = self.floor.slots_to(destinations)
+        along = config.reward.distance
+        self._distance_m = guidance.distances_m(self.floor, destinations, along)
+        self._starts = starts.start_cells(config, self.floor, destinations)
+        self._fixed_starts = starts.fixed_starts(config, self.floor)
         self._robot = np.arange(len(destinations))
         self._seen = self._tabulate()
         shape = (worlds, len(destinations))
@@ -171,8 +168,9 @@ class World:
 
         Args:
             start: cells to start from, shape (B, K), for any B; drawn if None: for each robot
-                uniformly from the cells at least ``tasks.start_distance_m`` from its destination,
-                or those of ``tasks.starts_m`` with ``tasks.start=fixed``.
+                uniformly from the cells at least ``tasks.start_distance_m`` from its destination
+                (with ``collisions=block``, that no earlier robot has drawn), or those of
+                ``tasks.starts_m`` with ``tasks.start=fixed``.
             fading: with ``channel.fading=slot``, the source of each of as many equal blocks of
                 worlds; one block with the world's own stream if None.
         """
@@ -217,6 +215,8 @@ class World:
         """Start cells, shape (count, K): fixed ones, or drawn from the world's stream."""
         if len(self._fixed_starts):
             return np.tile(self._fixed_starts, (count, 1))
+        if self.config.collisions == "block":
+            return starts.distinct_starts(self._starts, count, self.generator)
         drawn = [self.generator.choice(cells, size=count) for cells in self._starts]
         return np.stack(drawn, axis=-1)
 
@@ -258,6 +258,8 @@ class World:
         allocation = self.downlink.allocate(gain, level, drove)
         before_m = self._distance_m[self.cell, self._robot]
         moved = self.next_cell[self.cell, direction]
+        if self.config.collisions == "block":
+            moved = collisions.moves_without_collisions(self.cell, moved, drove, self.destinations)
         self.cell = np.where(drove, moved, self.cell)
         after_m = self._distance_m[self.cell, self._robot]
         arrived = drove & (self.cell == self.destinations)
@@ -296,19 +298,20 @@ def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> NDAr
         generator: the stream of destinations.
 
     Returns:
-        Cells, shape (K,), the drawn ones at least ``tasks.destination_spacing_m`` from all others
-        and none of them a cell of ``tasks.starts_m`` with ``tasks.start=fixed``.
+        Cells, shape (K,), the drawn ones at least ``tasks.destination_spacing_m`` from all others,
+        on the drivable floor, and none a cell of ``tasks.starts_m`` with ``tasks.start=fixed``.
 
     Raises:
-        ValueError: the floor has no room for that many.
+        ValueError: the floor has no room for that many, or with ``collisions=block`` none for as
+            many starts.
     """
     floor, tasks = Floor.from_config(config), config.tasks
     centres = floor.centres()
     count = 1 if tasks.destination == "common" else config.robots
     given = [] if tasks.destination == "random" else tasks.destinations_m[:count]
     chosen = [int(floor.cell_at(np.asarray(position))) for position in given]
-    allowed = np.ones(floor.cells, dtype=bool)
-    allowed[_fixed_starts(config, floor)] = False
+    allowed = floor.drivable()
+    allowed[starts.fixed_starts(config, floor)] = False
     while len(chosen) < count:
         apart = np.linalg.norm(centres[:, None] - centres[chosen], axis=-1).min(
             axis=-1, initial=np.inf
@@ -320,11 +323,6 @@ def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> NDAr
                 f" {tasks.destination_spacing_m} m apart"
             )
         chosen.append(int(generator.choice(free)))
-    return np.full(config.robots, chosen)
-
-
-def _fixed_starts(config: EnvConfig, floor: Floor) -> NDArray[np.int64]:
-    """The cells of ``tasks.starts_m``, shape (K,), or (0,) where starts are drawn."""
-    if config.tasks.start == "random":
-        return np.zeros(0, dtype=np.int64)
-    return floor.cell_at(np.asarray(config.tasks.starts_m[: config.robots], dtype=np.float64))
+    destinations = np.full(config.robots, chosen)
+    starts.start_cells(config, floor, destinations)
+    return destinations

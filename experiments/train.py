@@ -19,7 +19,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from rich.console import Console
 
-from conf import Config, ConfigError, from_node, register_schema, to_yaml
+from conf import Config, ConfigError, from_composed, register_schema, to_yaml
 from conf.compose import FOLDER, check_overrides
 from env.link import LinkError
 from experiments import local, simulation
@@ -195,7 +195,7 @@ def _combinations(overrides: Sequence[str]) -> list[list[str]]:
 
 def _job(node: DictConfig) -> int:
     """One run of a sweep; one that fails says why and leaves the others to go on."""
-    config = check(from_node(node))
+    config = check(from_composed(node, HydraConfig.get().overrides.task))
     try:
         status = train(config, Path(HydraConfig.get().runtime.output_dir))
     except (ConfigError, FlowerError, LinkError) as error:

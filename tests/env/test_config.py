@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from env.config import CHOICES, MAX_PHASE_ACTIONS, EnvConfig, problems
+from env.config import CHOICES, MAX_PHASE_ACTIONS, EnvConfig
+from env.config_checks import problems
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
 from env.world import World, draw_destinations

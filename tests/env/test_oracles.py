@@ -200,23 +200,26 @@ def test_canonical_powers_are_sent_as_they_are_unless_the_margin_is_short(world:
     assert not free.downlink.allocate(gain, level, world.driving).projected.any()
 
 
+def bound_for(goal: int, start: int) -> World:
+    config, shape = checked_config({"robots": 1}), shared("project")
+    world = World(config, np.array([goal]), stream(0, Stream.WORLD), radio_map=shape.radio_map)
+    world.reset(np.array([[start]]))
+    return world
+
+
 @given(start=st.integers(0, 3599), goal=st.integers(0, 3599))
 @few
 def test_shortest_directions_take_the_manhattan_length(start: int, goal: int) -> None:
-    floor = shared("project").floor
-    cell, destination = np.array([start]), np.array([goal])
-    for left in range(int(floor.shortest_slots(cell, destination)[0]), 0, -1):
-        assert floor.shortest_slots(cell, destination)[0] == left
-        direction = oracles.shortest_directions(floor, cell, destination)
-        cell = floor.neighbours()[cell, direction]
-    assert cell == destination
+    world = bound_for(goal, start)
+    for left in range(int(world.shortest_slots[0, 0]), 0, -1):
+        assert world.shortest_slots[0, 0] == left
+        world.cell = world.next_cell[world.cell, oracles.shortest_directions(world)]
+    assert world.cell == goal
 
 
 def test_shortest_directions_take_the_longer_axis_first() -> None:
-    floor = shared("project").floor
-    goal = np.array([30 * 60 + 30])
-    for across, up, step in ((3, 1, (1, 0)), (-3, 2, (-1, 0)), (1, 2, (0, 1)), (2, -3, (0, -1))):
-        cell = goal - across - up * 60
-        direction = oracles.shortest_directions(floor, cell, goal)
-        assert tuple(STEPS[direction[0]]) == step
-    assert tuple(STEPS[oracles.shortest_directions(floor, goal - 2 - 120, goal)[0]]) == (1, 0)
+    goal = 30 * 60 + 30
+    ways = ((3, 1, (1, 0)), (-3, 2, (-1, 0)), (1, 2, (0, 1)), (2, -3, (0, -1)), (2, 2, (1, 0)))
+    for across, up, step in ways:
+        world = bound_for(goal, goal - across - up * 60)
+        assert tuple(STEPS[oracles.shortest_directions(world)[0, 0]]) == step

@@ -101,9 +101,20 @@ def test_a_sweep_gives_what_single_runs_give(tmp_path: Path) -> None:
     assert summary(tmp_path / "sweep" / "1")["digest"] == summary(tmp_path / "single")["digest"]
 
 
+def test_a_sweep_over_floor_plans_gives_what_single_runs_give(tmp_path: Path) -> None:
+    small = [*SMALL, "env.room.cell_m=1"]
+    assert main(["train", "-m", *small, "env.plan=default,corridor", "run.dir=sweep"]) == 0
+    assert main(["train", *small, "env.plan=corridor", "run.dir=single"]) == 0
+    found = [from_yaml((tmp_path / "sweep" / str(n) / "config.yaml").read_text()) for n in (0, 1)]
+    assert [config.env.plan for config in found] == ["default", "corridor"]
+    assert [config.env.room.depth_m for config in found] == [30.0, 18.0]
+    assert summary(tmp_path / "sweep" / "1")["digest"] == summary(tmp_path / "single")["digest"]
+
+
 @pytest.mark.parametrize(
     ("mistake", "part"),
     [
+        ("env.plan=hall,office", "env.plan=office: allowed is one of corridor, default, hall"),
         ("env.power.levels=3,1", "env.power.levels=1"),
         ("seed=0,-1", "seed=-1"),
         ("strategy=none,krum", "env.robots of at least 3"),

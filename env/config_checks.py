@@ -1,0 +1,243 @@
+"""What is allowed in the group ``env``, beyond the types of its schema."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.config import (
+    BETWEEN,
+    CHOICES,
+    MAX_CELLS,
+    MAX_PHASE_ACTIONS,
+    NOT_NEGATIVE,
+    POSITIVE,
+    EnvConfig,
+    Problem,
+    RoomConfig,
+)
+from env.floor import Floor
+from env.reward import distance_m
+
+
+def problems(config: EnvConfig) -> list[Problem]:
+    """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
+    found = [*_choice_problems(config), *(_finite_problems(config) or _range_problems(config))]
+    if not found:
+        found += [*_geometry_problems(config), *_combination_problems(config)]
+    return found
+
+
+def _value(config: EnvConfig, key: str) -> Any:
+    value: Any = config
+    for name in key.split(".")[1:]:
+        value = getattr(value, name)
+    return value
+
+
+def _choice_problems(config: EnvConfig) -> list[Problem]:
+    return [
+        (key, _value(config, key), f"one of {', '.join(allowed)}")
+        for key, allowed in CHOICES.items()
+        if _value(config, key) not in allowed
+    ]
+
+
+def _finite_problems(values: Any, above: str = "env") -> list[Problem]:
+    found: list[Problem] = []
+    for item in fields(values):
+        key, value = f"{above}.{item.name}", getattr(values, item.name)
+        if is_dataclass(value):
+            found += _finite_problems(value, key)
+        elif isinstance(value, float) and not math.isfinite(value):
+            found.append((key, value, "a finite number"))
+    return found
+
+
+def _range_problems(config: EnvConfig) -> list[Problem]:
+    found: list[Problem] = []
+    for key in POSITIVE:
+        if not _value(config, key) > 0:
+            found.append((key, _value(config, key), "a number above 0"))
+    for key in NOT_NEGATIVE:
+        if not _value(config, key) >= 0:
+            found.append((key, _value(config, key), "a number of at least 0"))
+    for key, (low, high) in BETWEEN.items():
+        if not low <= _value(config, key) <= high:
+            found.append((key, _value(config, key), f"a number from {low:g} to {high:g}"))
+    return found
+
+
+def _geometry_problems(config: EnvConfig) -> list[Problem]:
+    room = config.room
+    found: list[Problem] = []
+    for key, side in (("env.room.width_m", room.width_m), ("env.room.depth_m", room.depth_m)):
+        cells = side / room.cell_m
+        if abs(cells - round(cells)) > 1e-9 or round(cells) < 2:
+            found.append((key, side, f"a multiple of env.room.cell_m={room.cell_m}, at least two"))
+    if room.width_m * room.depth_m / room.cell_m**2 > MAX_CELLS:
+        found.append(("env.room.cell_m", room.cell_m, f"a side with at most {MAX_CELLS} cells"))
+    for key, position in (
+        ("env.ap.position_m", config.ap.position_m),
+        ("env.ris.position_m", config.ris.position_m),
+    ):
+        if not _numbers(position, 3) or not _inside(room, position, closed=True) or position[2] < 0:
+            found.append((key, position, "[x, y, z] in m inside the room or on its edge"))
+    for segment in config.walls.segments:
+        if not _numbers(segment, 4) or segment[:2] == segment[2:]:
+            found.append(("env.walls.segments", segment, "segments [x0, y0, x1, y1] in m"))
+    starts = _fixed_start_problems if config.tasks.start == "fixed" else _start_problems
+    return found or _destination_problems(config) or starts(config) or _way_problems(config)
+
+
+def _destination_problems(config: EnvConfig) -> list[Problem]:
+    key = "env.tasks.destinations_m"
+    room = config.room
+    seen: set[tuple[int, ...]] = set()
+    found: list[Problem] = []
+    for destination in config.tasks.destinations_m:
+        if not _numbers(destination, 2) or not _inside(room, destination):
+            allowed = f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
+            found.append((key, destination, allowed))
+            continue
+        cell = _cell(room, destination)
+        if cell in seen:
+            found.append((key, destination, "destinations in cells of their own"))
+        seen.add(cell)
+    return found
+
+
+def _start_problems(config: EnvConfig) -> list[Problem]:
+    """Whether some cell is far enough from each destination; a drawn one may lie in the middle."""
+    room, tasks = config.room, config.tasks
+    destinations, number = _given_destinations(config)
+    if number > len(destinations):
+        destinations = [*destinations, [room.width_m / 2, room.depth_m / 2]]
+    half = room.cell_m / 2
+    reach = math.inf
+    for x, y in destinations:
+        cell_x, cell_y = (math.floor(v / room.cell_m) * room.cell_m + half for v in (x, y))
+        far_x = max(cell_x - half, room.width_m - half - cell_x)
+        far_y = max(cell_y - half, room.depth_m - half - cell_y)
+        reach = min(reach, math.hypot(far_x, far_y))
+    if tasks.start_distance_m <= reach:
+        return []
+    allowed = f"at most {reach:.4g}, since no cell is farther from one of the destinations"
+    return [("env.tasks.start_distance_m", tasks.start_distance_m, allowed)]
+
+
+def _given_destinations(config: EnvConfig) -> tuple[list[Any], int]:
+    """The destinations that are given, and how many there are in all."""
+    tasks = config.tasks
+    number = 1 if tasks.destination == "common" else config.robots
+    return ([] if tasks.destination == "random" else tasks.destinations_m[:number]), number
+
+
+def _fixed_start_problems(config: EnvConfig) -> list[Problem]:
+    key, room, starts = "env.tasks.starts_m", config.room, config.tasks.starts_m
+    allowed = f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
+    found: list[Problem] = [
+        (key, at, allowed) for at in starts if not _numbers(at, 2) or not _inside(room, at)
+    ]
+    if found:
+        return found
+    if len(starts) < config.robots:
+        say = f"at least env.robots={config.robots} places with env.tasks.start=fixed"
+        return [(key, starts, say)]
+    cells = [_cell(room, start) for start in starts[: config.robots]]
+    if config.collisions == "block" and len({*cells}) < len(cells):
+        return [(key, starts, "places in cells of their own with env.collisions=block")]
+    goals, _ = _given_destinations(config)
+    if config.tasks.destination == "common":
+        goals = goals * config.robots
+    return [
+        (key, start, "places off the cell of the robot's destination")
+        for start, goal in zip(starts, goals, strict=False)
+        if _cell(room, start) == _cell(room, goal)
+    ]
+
+
+def _way_problems(config: EnvConfig) -> list[Problem]:
+    """With solid walls, whether given places are cut off, and whether starts are far enough."""
+    if not config.walls.block_motion:
+        return []
+    floor, tasks = Floor.from_config(config), config.tasks
+    drivable, (goals, number) = floor.drivable(), _given_destinations(config)
+    places = [("env.tasks.destinations_m", goal) for goal in goals]
+    if tasks.start == "fixed":
+        places += [("env.tasks.starts_m", start) for start in tasks.starts_m[: config.robots]]
+    allowed = "places that the rest of the floor can reach with env.walls.block_motion=true"
+    found: list[Problem] = [
+        (key, place, allowed)
+        for key, place in places
+        if not drivable[floor.cell_at(np.asarray(place, dtype=np.float64))]
+    ]
+    if found or tasks.start == "fixed":
+        return found
+    cells = floor.cell_at(np.asarray(goals, dtype=np.float64).reshape(-1, 2))
+    if number > len(goals):  # further ones are drawn, from all of it
+        cells = np.flatnonzero(drivable)
+    reach = float(_farthest_m(floor, drivable, cells).min())
+    if tasks.start_distance_m <= reach:
+        return []
+    allowed = f"at most {reach:.4g}, since no cell with a way to a destination is farther from it"
+    return [("env.tasks.start_distance_m", tasks.start_distance_m, allowed)]
+
+
+def _farthest_m(
+    floor: Floor, drivable: NDArray[np.bool_], cells: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """From each cell to the farthest drivable one, which is the first or the last of its row."""
+    rows = drivable.reshape(floor.rows, floor.columns)
+    first, last = rows.argmax(axis=1), floor.columns - 1 - rows[:, ::-1].argmax(axis=1)
+    ends = np.concatenate([first, last]) + np.tile(np.arange(floor.rows), 2) * floor.columns
+    centres, far_m = floor.centres(), np.zeros(len(cells))
+    for end in ends[np.tile(rows.any(axis=1), 2)]:
+        far_m = np.maximum(far_m, distance_m(centres[cells], centres[end]))
+    return far_m
+
+
+def _cell(room: RoomConfig, position: Sequence[float]) -> tuple[int, ...]:
+    return tuple(math.floor(x / room.cell_m) for x in position)
+
+
+def _numbers(value: Any, count: int) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == count
+        and all(isinstance(x, int | float) and math.isfinite(x) for x in value)
+    )
+
+
+def _inside(room: RoomConfig, position: Sequence[float], *, closed: bool = False) -> bool:
+    x, y = position[:2]
+    if closed:
+        return 0 <= x <= room.width_m and 0 <= y <= room.depth_m
+    return 0 <= x < room.width_m and 0 <= y < room.depth_m
+
+
+def _combination_problems(config: EnvConfig) -> list[Problem]:
+    found: list[Problem] = []
+    ris, power = config.ris, config.power
+    if ris.side**2 % ris.subsurfaces:
+        allowed = f"a divisor of the {ris.side**2} elements that env.ris.side={ris.side} gives"
+        found.append(("env.ris.subsurfaces", ris.subsurfaces, allowed))
+    elif ris.bits * ris.subsurfaces > MAX_PHASE_ACTIONS.bit_length() - 1:
+        allowed = (
+            f"at most {MAX_PHASE_ACTIONS} phase settings: with env.ris.bits={ris.bits}"
+            f" that is {(MAX_PHASE_ACTIONS.bit_length() - 1) // ris.bits} sub-surfaces or fewer"
+        )
+        found.append(("env.ris.subsurfaces", ris.subsurfaces, allowed))
+    projects = config.access == "noma" and power.resolve == "project"
+    if projects and power.levels < config.robots:
+        allowed = (
+            f"at least env.robots={config.robots} with env.power.resolve=project, since NOMA gives"
+            " each robot a level of its own (residual and zero allow fewer)"
+        )
+        found.append(("env.power.levels", power.levels, allowed))
+    return found
