@@ -23,6 +23,7 @@ from agent.exploration import NO_ACTION, epsilon_at
 from agent.network import NetworkShape, q_values
 from agent.storage import (
     CheckpointError,
+    Writer,
     checkpoints,
     digest,
     load_checkpoint,
@@ -40,6 +41,7 @@ __all__ = [
     "EpsilonConfig",
     "NetworkShape",
     "TargetConfig",
+    "Writer",
     "checkpoints",
     "digest",
     "epsilon_at",

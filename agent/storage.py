@@ -11,6 +11,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,45 @@ def save_checkpoint(
     for old in [s for s in checkpoints(folder) if s <= step][:-KEPT]:
         _path(folder, old).unlink()
     return path
+
+
+class Writer:
+    """Writes checkpoints one after the other, beside the work that goes on.
+
+    An error of a write comes out of the next call, or of `wait`.
+    """
+
+    def __init__(self) -> None:
+        """A writer with nothing to do."""
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="checkpoints")
+        self._pending: list[Future[Path]] = []
+
+    def save(
+        self,
+        folder: Path,
+        step: int,
+        arrays: Mapping[str, NDArray[np.generic]],
+        meta: Mapping[str, Json],
+    ) -> None:
+        """As `save_checkpoint`, and returns at once; arrays must not change until it is done."""
+        self._pending.append(self._pool.submit(save_checkpoint, folder, step, arrays, meta))
+
+    def wait(self) -> None:
+        """Returns once all is on disk.
+
+        Raises:
+            OSError: a checkpoint could not be written.
+        """
+        pending, self._pending = self._pending, []
+        for write in pending:
+            write.result()
+
+    def close(self) -> None:
+        """Waits and ends the thread."""
+        try:
+            self.wait()
+        finally:
+            self._pool.shutdown()
 
 
 def checkpoints(folder: Path) -> list[int]:

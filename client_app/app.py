@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,16 +64,17 @@ def train(message: Message, context: Context) -> Message:
     model = message.content.array_records["arrays"].get("model")
     if model is not None:
         group.download(order.window, model.numpy())
-    serve(
-        order.address,
-        order.robots,
-        order.tokens,
-        Keeper(group, folder, order.config.state.every),
-        fingerprint=fingerprint(),
-        timeout_s=order.config.federation.link.timeout_s,
-        patience_s=order.config.federation.link.patience_s,
-        n_parameters=group.parameters,
-    )
+    with closing(Keeper(group, folder, order.config.state.every)) as keeper:
+        serve(
+            order.address,
+            order.robots,
+            order.tokens,
+            keeper,
+            fingerprint=fingerprint(),
+            timeout_s=order.config.federation.link.timeout_s,
+            patience_s=order.config.federation.link.patience_s,
+            n_parameters=group.parameters,
+        )
     content = RecordDict(
         {
             "arrays": ArrayRecord({"robots": Array(group.upload())}),

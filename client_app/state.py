@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import CheckpointError, load_checkpoint, save_checkpoint
+from agent import CheckpointError, Writer, load_checkpoint, save_checkpoint
 from client_app.robots import RobotGroup
 from conf.places import robot_folder, robot_windows, round_folder
 from env.link import Step, Want
@@ -28,6 +28,7 @@ class Keeper:
 
     def __init__(self, group: RobotGroup, state: Path, every: int | None) -> None:
         self._group, self._state, self._every = group, state, every
+        self._writer = Writer()
 
     def step(self, step: Step) -> NDArray[np.int32] | None:
         """See ``Robots.step``."""
@@ -45,11 +46,25 @@ class Keeper:
         self._group.download(window, weights)
 
     def save(self, window: int, last: bool) -> None:
-        """Writes the checkpoints of a window, where it is due or the last of a round."""
+        """Writes the checkpoints of a window, where it is due or the last of a round.
+
+        Raises:
+            OSError: the ones before could not be written.
+        """
         due = self._every is not None and window % self._every == 0
         if not due and not last:
             return
-        save_state(self._group, self._state, window, robot_folder if due else round_folder)
+        self._writer.wait()
+        place = robot_folder if due else round_folder
+        save_state(self._group, self._state, window, place, self._writer.save)
+
+    def close(self) -> None:
+        """Waits until all is on disk.
+
+        Raises:
+            OSError: it could not be written.
+        """
+        self._writer.close()
 
 
 def save_state(
@@ -57,6 +72,7 @@ def save_state(
     state: Path,
     window: int,
     place: Callable[[Path, int], Path] = robot_folder,
+    save: Callable[..., object] = save_checkpoint,
 ) -> None:
     """Writes each robot's checkpoint of a window: replay, moments, random state, weights.
 
@@ -65,10 +81,11 @@ def save_state(
         state: the folder of checkpoints on this machine.
         window: windows that have been played.
         place: the folder of a robot's checkpoints, below ``state``.
+        save: ``agent.save_checkpoint``, or a writer's.
     """
     for index, robot in enumerate(group.robots):
         arrays = group.agents.agent_state(index)
-        save_checkpoint(place(state, robot), window, arrays, {"robot": robot})
+        save(place(state, robot), window, arrays, {"robot": robot})
 
 
 def load_state(group: RobotGroup, state: Path, window: int) -> None:

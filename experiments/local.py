@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -44,9 +45,9 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
         load_state(group, state, window)
     if (model := session.model()) is not None:
         group.download(window, model)
-    keeper = Keeper(group, state, config.state.every)
     fleet = InProcessFleet([(robots, group)])
-    return session.train(fleet, keep=keeper.save if config.state.every else _never)
+    with closing(Keeper(group, state, config.state.every)) as keeper:
+        return session.train(fleet, keep=keeper.save if config.state.every else _never)
 
 
 def _never(window: int, last: bool) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import CheckpointError, checkpoints, load_checkpoint, save_checkpoint
+from agent import CheckpointError, Writer, checkpoints, load_checkpoint
 from conf import fingerprint
 from conf.places import robot_windows, server_folder
 
@@ -42,9 +42,16 @@ class Checkpoint:
         return self.arrays.get("run/model")
 
 
-def save_server(state: Path, window: int, arrays: State, meta: Mapping[str, Any]) -> None:
-    """Writes the server's checkpoint of a window; the last two are kept."""
-    save_checkpoint(server_folder(state), window, arrays, {**meta, "fingerprint": fingerprint()})
+def save_server(
+    writer: Writer, state: Path, window: int, arrays: State, meta: Mapping[str, Any]
+) -> None:
+    """Writes the server's checkpoint of a window, once the one before it is there.
+
+    Raises:
+        OSError: the one before it could not be written.
+    """
+    writer.wait()
+    writer.save(server_folder(state), window, arrays, {**meta, "fingerprint": fingerprint()})
 
 
 def latest(state: Path, robots: int) -> Checkpoint:

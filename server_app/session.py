@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save_file
 
-from agent import digest, single_threaded
+from agent import Writer, digest, single_threaded
 from conf import Config, fingerprint, robot_network, version
 from conf.places import STATE
 from env.drawing import trajectory_figure
@@ -87,6 +87,7 @@ class Session:
             spent = resumed.meta["spent"]
         self._waited_s = spent["waited_s"]
         self._costs: Callable[[], Costs] = Costs
+        self._writer = Writer()
         self._began = time.perf_counter() - spent["wall_s"]
         self._cpu_before = time.process_time() - spent["cpu_s"]
         self.radio_map = build_radio_map(config.env)
@@ -145,6 +146,7 @@ class Session:
         arrays = None if self._resumed is None else self._resumed.arrays
         try:
             robots = run.run(self.initial_weights(), arrays)
+            self._writer.wait()
             trained_s = self.recorder.end_training()
             self.recorder.report("finishing", run.progress)
             summary = self._finish(run, robots, trained_s, shared=aggregator is not None)
@@ -155,6 +157,7 @@ class Session:
             raise
         finally:
             self.recorder.close()
+            self._writer.close()
         return summary
 
     def _checkpoint(self, run: Coordinator, *, last: bool) -> None:
@@ -168,7 +171,7 @@ class Session:
             "waited_s": run.waited_s,
         }
         meta = {"spent": spent, "costs": asdict(self._costs()), "marks": self.recorder.marks()}
-        save_server(self.folder / STATE, window, run.state(), meta)
+        save_server(self._writer, self.folder / STATE, window, run.state(), meta)
 
     def _finish(
         self, run: Coordinator, robots: NDArray[np.float32], trained_s: float, *, shared: bool

@@ -22,7 +22,7 @@ from env.seeding import Stream, stream
 from env.single_robot import SingleRobotEnv
 from env.world import World, draw_destinations
 from experiments.cli import main
-from server_app.app import _config as config_on_flower
+from server_app.app import _asked as asked_on_flower
 
 NAMES = ["corridor", "default", "hall"]
 NEW = ["corridor", "hall"]
@@ -114,7 +114,7 @@ def test_the_views_and_the_command_have_the_same_plan(name):
     assert composed == checked_config({"plan": name, "robots": 2})
     assert RISFleetParallelEnv({"plan": name, "robots": 2}).config == composed
     assert SingleRobotEnv({"plan": name, "robots": 2}).config == composed
-    assert config_on_flower(f"env.plan={name} env.robots=2").env == composed
+    assert asked_on_flower([f"env.plan={name}", "env.robots=2"])[0].env == composed
 
 
 # What wins.
@@ -153,7 +153,7 @@ def test_a_configuration_that_is_written_out_needs_its_plan_no_more(own):
 def config_on_flower_from(text, folder):
     path = folder / "config.yaml"
     path.write_text(text.replace("name: local", "name: simulation"))
-    return config_on_flower(f"@{path}").env
+    return asked_on_flower([f"@{path}"])[0].env
 
 
 def test_a_plan_that_changes_later_changes_nothing_that_is_written_out(own):

@@ -49,10 +49,10 @@ def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     """Lets a run fail before the server writes its checkpoint of a window."""
     save = session.save_server
 
-    def fatal(state, at, *rest):
+    def fatal(writer, state, at, *rest):
         if at == window:
             raise OSError("the machine is gone")
-        save(state, at, *rest)
+        save(writer, state, at, *rest)
 
     monkeypatch.setattr(session, "save_server", fatal)
 
