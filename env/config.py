@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
+from env import plugins
+
 Problem = tuple[str, Any, str]
 """A key, the value it has, and what is allowed there."""
 
@@ -85,8 +87,9 @@ class TasksConfig:
 
 @dataclass(frozen=True)
 class ChannelConfig:
-    """Path loss and fading of 3GPP TR 38.901, indoor hotspot."""
+    """Path loss and fading: 3GPP TR 38.901, indoor hotspot, or a model of the user's own."""
 
+    model: str = "indoor_hotspot"
     frequency_ghz: float = 2.4
     rician_k_db: float = 7.0
     fading: str = "static"
@@ -136,8 +139,9 @@ class StateConfig:
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the robots' and the access point's rewards."""
+    """Weights of the robots' and the access point's rewards, and which reward robots get."""
 
+    model: str = "paper"
     rate: float = 0.05  # phi
     guidance: float = 3.0  # psi
     time: float = -1.0  # R_time, Table I
@@ -220,6 +224,7 @@ BETWEEN: dict[str, tuple[float, float]] = {
 def problems(config: EnvConfig) -> list[Problem]:
     """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
     found = [*_choice_problems(config), *(_finite_problems(config) or _range_problems(config))]
+    found += plugins.problems(config)
     if not found:
         found += [*_geometry_problems(config), *_combination_problems(config)]
     return found

@@ -26,6 +26,7 @@ class Slice:
     def __init__(self, config: EnvConfig, destinations: NDArray[np.int64]) -> None:
         self._observer = Observer(config)
         self._config = config
+        self._reward = reward.robots_reward(config)
         self._centres = Floor.from_config(config).centres()
         self._destinations = destinations
         self.observation_size = self._observer.local_size
@@ -43,7 +44,7 @@ class Slice:
         reached: NDArray[np.int32],
         arrived: NDArray[np.bool_],
     ) -> NDArray[np.float64]:
-        """r_L of each robot, Eq. (11).
+        """r_L of each robot: Eq. (11), or the user's own reward.
 
         Args:
             rate: R_k in bit/s/Hz, shape (n,).
@@ -58,4 +59,4 @@ class Slice:
         before = reward.distance_m(self._centres[left], goal)
         after = reward.distance_m(self._centres[reached], goal)
         counted = reward.metric(rate, self._config)
-        return reward.local_reward(counted, before, after, arrived, self._config.reward)
+        return self._reward(counted, before, after, arrived, self._config.reward)

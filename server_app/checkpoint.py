@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import CheckpointError, checkpoints, load_checkpoint, save_checkpoint
-from conf import fingerprint
 from conf.places import robot_windows, server_folder
 
 State = Mapping[str, NDArray[Any]]
@@ -44,7 +43,7 @@ class Checkpoint:
 
 def save_server(state: Path, window: int, arrays: State, meta: Mapping[str, Any]) -> None:
     """Writes the server's checkpoint of a window; the last two are kept."""
-    save_checkpoint(server_folder(state), window, arrays, {**meta, "fingerprint": fingerprint()})
+    save_checkpoint(server_folder(state), window, arrays, meta)
 
 
 def latest(state: Path, robots: int) -> Checkpoint:
