@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -103,10 +103,9 @@ class _Models:
             raise PluginError(self.key, name, f"a name that one package brings, not {places}")
         return found[0] if found else None
 
-    def _names(self) -> Iterator[str]:
-        yield self.ours
+    def _names(self) -> list[str]:
         installed = {entry.name for entry in metadata.entry_points(group=self.group)}
-        yield from sorted({*installed, *self._registered} - {self.ours})
+        return [self.ours, *sorted({*installed, *self._registered} - {self.ours})]
 
 
 _CHANNELS = _Models("env.channel.model", "indoor_hotspot", "risfleet.channel_models")
@@ -215,9 +214,7 @@ def _source(function: Callable[..., Any]) -> str:
         return "no source file"
 
 
-def _table(
-    name: str, which: str, table: NDArray[np.complex128], shape: tuple[int, ...]
-) -> NDArray[np.complex128]:
+def _table(name: str, which: str, table: Any, shape: tuple[int, ...]) -> NDArray[np.complex128]:
     """A copy of one table of a channel model, if it is what it must be."""
     _check(_CHANNELS.key, name, which, table, shape, np.complexfloating)
     return np.array(table, dtype=np.complex128, order="C")
@@ -238,17 +235,16 @@ def _checked_reward(
     return found
 
 
-def _check(
-    key: str, name: str, which: str, array: Any, shape: tuple[int, ...], kind: type[np.generic]
-) -> None:
+def _check(key: str, name: str, which: str, array: Any, shape: tuple[int, ...], kind: type) -> None:
+    wanted = "complex" if kind is np.complexfloating else "float64"
     if not isinstance(array, np.ndarray):
-        raise PluginError(
-            key, name, f"a model whose {which} is an array, not {type(array).__name__}"
-        )
-    if array.shape != shape:
-        raise PluginError(key, name, f"a model whose {which} has shape {shape}, not {array.shape}")
-    if not np.issubdtype(array.dtype, kind):
-        wanted = "complex" if kind is np.complexfloating else "float64"
-        raise PluginError(key, name, f"a model whose {which} is {wanted}, not {array.dtype}")
-    if not np.isfinite(array).all():
-        raise PluginError(key, name, f"a model whose {which} is finite everywhere")
+        say = f"an array, not {type(array).__name__}"
+    elif array.shape != shape:
+        say = f"of shape {shape}, not {array.shape}"
+    elif not np.issubdtype(array.dtype, kind):
+        say = f"{wanted}, not {array.dtype}"
+    elif not np.isfinite(array).all():
+        say = "finite everywhere"
+    else:
+        return
+    raise PluginError(key, name, f"a model whose {which} is {say}")
