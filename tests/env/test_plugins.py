@@ -369,3 +369,16 @@ def test_the_pages_script_trains(tmp_path, monkeypatch):
     assert names["status"] == 0
     assert names["fleet"].world.config.reward.model == "hurried"
     assert len([*tmp_path.glob("runs/*/summary.json")]) == 1
+
+
+def test_a_run_does_not_go_on_with_another_source(install, tmp_path, tiny_overrides, capsys):
+    install()
+    folder = tmp_path / "run"
+    given = ["env.reward.model=diminishing", "state.every=5", f"run.dir={folder}"]
+    assert main(["train", *tiny_overrides, *given]) == 0
+    install(MODULE + "\n# changed\n", folder="changed")
+    assert main(["train", f"resume={folder}"]) == 2
+    assert "torch and plug-ins on this type of CPU" in capsys.readouterr().err
+    install(folder="again")
+    assert main(["train", f"resume={folder}"]) == 2
+    assert "plug-ins" not in capsys.readouterr().err
