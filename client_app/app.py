@@ -70,7 +70,7 @@ def train(message: Message, context: Context) -> Message:
             order.robots,
             order.tokens,
             keeper,
-            fingerprint=fingerprint(),
+            fingerprint=fingerprint(order.config.env),
             timeout_s=order.config.federation.link.timeout_s,
             patience_s=order.config.federation.link.patience_s,
             n_parameters=group.parameters,

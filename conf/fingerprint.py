@@ -9,15 +9,26 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+from env import plugins
+from env.config import EnvConfig
+
 PACKAGES = ("agent", "client_app", "conf", "env", "server_app")
 
 
-@cache
-def fingerprint() -> str:
-    """This installation in one line: the packages' content, torch, NumPy and the processor.
+def fingerprint(config: EnvConfig | None = None) -> str:
+    """What computes a run, in one line: our packages, torch, NumPy, the processor, plug-ins.
 
     Two sides with the same line compute the same weights from the same seed.
+
+    Args:
+        config: the run's environment, for the plug-ins that it uses; none if None.
     """
+    return ", ".join([_installation(), *(plugins.identities(config) if config else ())])
+
+
+@cache
+def _installation() -> str:
+    """The packages' content, torch, NumPy and the processor."""
     return (
         f"risfleet {version('risfleet')} ({_content()}), torch {version('torch')},"
         f" numpy {version('numpy')}, {_processor()}"

@@ -14,10 +14,19 @@ if TYPE_CHECKING:
     from env.checks import checked_config
     from env.config import EnvConfig
     from env.parallel_env import RISFleetParallelEnv
+    from env.plugins import register_channel_model, register_reward
     from env.single_robot import SingleRobotEnv
     from env.world import World
 
-__all__ = ["EnvConfig", "RISFleetParallelEnv", "SingleRobotEnv", "World", "checked_config"]
+__all__ = [
+    "EnvConfig",
+    "RISFleetParallelEnv",
+    "SingleRobotEnv",
+    "World",
+    "checked_config",
+    "register_channel_model",
+    "register_reward",
+]
 
 SINGLE_ROBOT = "risfleet/SingleRobot-v0"
 _HOMES = {
@@ -26,6 +35,8 @@ _HOMES = {
     "SingleRobotEnv": "env.single_robot",
     "World": "env.world",
     "checked_config": "env.checks",
+    "register_channel_model": "env.plugins",
+    "register_reward": "env.plugins",
 }
 
 

@@ -87,8 +87,9 @@ class TasksConfig:
 
 @dataclass(frozen=True)
 class ChannelConfig:
-    """Path loss and fading of 3GPP TR 38.901, indoor hotspot."""
+    """Path loss and fading: 3GPP TR 38.901, indoor hotspot, or a model of the user's own."""
 
+    model: str = "indoor_hotspot"
     frequency_ghz: float = 2.4
     rician_k_db: float = 7.0
     fading: str = "static"
@@ -138,8 +139,9 @@ class StateConfig:
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the robots' and the access point's rewards."""
+    """Weights of the robots' and the access point's rewards, and which reward robots get."""
 
+    model: str = "paper"
     rate: float = 0.05  # phi
     guidance: float = 3.0  # psi
     distance: str = "straight"  # d: straight, or way over the floor

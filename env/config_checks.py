@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from env import plugins
 from env.config import (
     BETWEEN,
     CHOICES,
@@ -28,6 +29,7 @@ from env.reward import distance_m
 def problems(config: EnvConfig) -> list[Problem]:
     """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
     found = [*_choice_problems(config), *(_finite_problems(config) or _range_problems(config))]
+    found += plugins.problems(config)
     if not found:
         found += [*_geometry_problems(config), *_combination_problems(config)]
     return found

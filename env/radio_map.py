@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from env import propagation
+from env import plugins, propagation
 from env.config import EnvConfig
 from env.floor import Floor, line_of_sight
 from env.seeding import Stream, stream
@@ -91,10 +91,14 @@ def build_radio_map(config: EnvConfig) -> RadioMap:
     at = np.column_stack([centres, np.full(len(centres), config.motion.antenna_height_m)])
     direct_los = line_of_sight(np.asarray(config.ap.position_m), centres, floor.walls)
     ris_los = line_of_sight(np.asarray(config.ris.position_m), centres, floor.walls)
-    direct = _direct(config, at, direct_los)
+    own = plugins.own_channel(config, floor)
+    direct, reflected = own or (
+        _direct(config, at, direct_los),
+        _reflected(config, at, ris_los),
+    )
     return RadioMap(
         direct=direct,
-        reflected=_reflected(config, at, ris_los),
+        reflected=reflected,
         settings=propagation.phase_settings(config.ris.bits, config.ris.subsurfaces),
         direct_db=(20.0 * np.log10(np.abs(direct))).astype(np.float32),
         direct_los=direct_los,

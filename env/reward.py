@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from env import plugins
 from env.config import EnvConfig, MotionConfig, QoeConfig, RewardConfig
 
 
@@ -56,6 +57,15 @@ def local_reward(
     """
     guidance = weights.guidance * (before_m - after_m)
     return weights.rate * rate + guidance + weights.time + np.where(arrived, weights.goal, 0.0)
+
+
+def robots_reward(config: EnvConfig) -> plugins.Reward:
+    """The function that makes robots' rewards: ``local_reward``, or the user's own.
+
+    Raises:
+        ValueError: ``env.reward.model`` names none.
+    """
+    return plugins.own_reward(config) or local_reward
 
 
 def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArray[np.float64]:

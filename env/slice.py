@@ -26,6 +26,7 @@ class Slice:
     def __init__(self, config: EnvConfig, destinations: NDArray[np.int64]) -> None:
         self._observer = Observer(config)
         self._config = config
+        self._reward = reward.robots_reward(config)
         self._destinations = destinations
         floor = Floor.from_config(config)
         self._distance_m = guidance.distances_m(floor, destinations, config.reward.distance)
@@ -45,7 +46,7 @@ class Slice:
         reached: NDArray[np.int32],
         arrived: NDArray[np.bool_],
     ) -> NDArray[np.float64]:
-        """r_L of each robot, Eq. (11).
+        """r_L of each robot: Eq. (11), or the user's own reward.
 
         Args:
             rate: R_k in bit/s/Hz, shape (n,).
@@ -59,4 +60,4 @@ class Slice:
         before = self._distance_m[left, self._robot]
         after = self._distance_m[reached, self._robot]
         counted = reward.metric(rate, self._config)
-        return reward.local_reward(counted, before, after, arrived, self._config.reward)
+        return self._reward(counted, before, after, arrived, self._config.reward)

@@ -87,6 +87,7 @@ class World:
         self.radio_map = radio_map or build_radio_map(config)
         self.downlink = Downlink(config)
         self.observer = Observer(config)
+        self._reward = reward.robots_reward(config)
         self.destinations = destinations
         self.generator = generator
         self.slot_s = config.room.cell_m / config.motion.speed_mps
@@ -270,7 +271,7 @@ class World:
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
         weights = self.config.reward
         counted = reward.metric(allocation.rate, self.config)
-        local = reward.local_reward(counted, before_m, after_m, arrived, weights)
+        local = self._reward(counted, before_m, after_m, arrived, weights)
         return Outcome(
             rate=allocation.rate,
             local_reward=np.where(drove, local, 0.0),

@@ -44,7 +44,12 @@ def _train(grid: Grid, config: Config, folder: Path, resumed: Checkpoint | None)
     """Deals the robots to the federation's nodes and trains with them."""
     check_address(config)
     where = config.federation.link
-    link = LinkServer(where.host, where.port, fingerprint=fingerprint(), timeout_s=where.timeout_s)
+    link = LinkServer(
+        where.host,
+        where.port,
+        fingerprint=fingerprint(config.env),
+        timeout_s=where.timeout_s,
+    )
     try:
         nodes = _nodes(grid, config)
         config = dataclasses.replace(

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import CheckpointError, Writer, checkpoints, load_checkpoint
-from conf import fingerprint
 from conf.places import robot_windows, server_folder
 
 State = Mapping[str, NDArray[Any]]
@@ -51,7 +50,7 @@ def save_server(
         OSError: the one before it could not be written.
     """
     writer.wait()
-    writer.save(server_folder(state), window, arrays, {**meta, "fingerprint": fingerprint()})
+    writer.save(server_folder(state), window, arrays, meta)
 
 
 def latest(state: Path, robots: int) -> Checkpoint:

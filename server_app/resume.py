@@ -49,10 +49,10 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
         checkpoint = latest(folder / STATE, config.env.robots)
     except CheckpointError as error:
         raise ConfigError(f"resume={folder}: {error}.") from error
-    if checkpoint.meta["fingerprint"] != fingerprint():
+    if checkpoint.meta["fingerprint"] != fingerprint(config.env):
         raise ConfigError(
-            f"resume={folder}: allowed is a run of this version of RISFleet and torch on this type"
-            " of CPU: with another it would not end in the same weights."
+            f"resume={folder}: allowed is a run of this version of RISFleet, torch and plug-ins on"
+            " this type of CPU: with another it would not end in the same weights."
         )
     _check_unfinished(folder, config, checkpoint)
     return config, checkpoint

@@ -170,7 +170,12 @@ class Session:
             "cpu_s": time.process_time() - self._cpu_before,
             "waited_s": run.waited_s,
         }
-        meta = {"spent": spent, "costs": asdict(self._costs()), "marks": self.recorder.marks()}
+        meta = {
+            "spent": spent,
+            "costs": asdict(self._costs()),
+            "marks": self.recorder.marks(),
+            "fingerprint": fingerprint(self.config.env),
+        }
         save_server(self._writer, self.folder / STATE, window, run.state(), meta)
 
     def _finish(
@@ -189,7 +194,7 @@ class Session:
             "strategy": self.config.strategy.name,
             "robots": self.config.env.robots,
             "versions": {name: version(name) for name in ("risfleet", "torch", "numpy", "flwr")},
-            "fingerprint": fingerprint(),
+            "fingerprint": fingerprint(self.config.env),
             "digest": {"robots": digest(robots), "ap": digest(ap)},
             "ticks": run.progress.tick,
             "windows": run.progress.window,

@@ -146,7 +146,7 @@ def test_what_cannot_be_resumed_is_refused_in_a_sentence(train, tmp_path, capsys
 
 def test_a_run_of_another_version_is_refused(train, monkeypatch, capsys) -> None:
     folder = train("old")
-    monkeypatch.setattr("server_app.resume.fingerprint", lambda: "another")
+    monkeypatch.setattr("server_app.resume.fingerprint", lambda env: "another")
     assert main(["train", f"resume={folder}", "train.max_ticks=500"]) == 2
     assert "allowed is a run of this version" in capsys.readouterr().err
 
