@@ -131,7 +131,7 @@ class _Planner:
         """A shortest way; around the robots before it where they block each other."""
         cell, slots = int(self.start[robot]), self._soonest(robot)
         goal = int(self.world.destinations[robot])
-        if self.blocks or cell == goal:
+        if self.blocks or cell == goal or slots not in self._horizons(robot):
             return self._free_way(robot)
         here, path = self.start.copy(), np.zeros(slots, dtype=np.int64)
         for slot in range(slots):
