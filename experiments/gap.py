@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,19 +12,19 @@ from env import oracles
 from env.reward import motion_energy_j
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures, EpisodeTally
-from env.trajectory import Trajectory, best_trajectory, shortest_ways
+from env.trajectory import best_trajectory, shortest_ways
 from env.world import World
 from server_app.evaluation import Evaluator, Served
 
-SHORTEST = "shortest way, "
+SHORTEST = "shortest, "
 RANDOM = SHORTEST + "random phase"
-FIXED = SHORTEST + "best fixed phase"
+FIXED = SHORTEST + "fixed phase"
 PHASE = SHORTEST + "best phase"
-POWERS = SHORTEST + "best phase and powers"
+POWERS = SHORTEST + "best powers"
 TRAJECTORY = "trajectory"
 POLICY = "policy"
 POLICY_PHASE = "policy, best phase"
-POLICY_POWERS = "policy, best phase and powers"
+POLICY_POWERS = "policy, best powers"
 STEPS = (POLICY, POLICY_PHASE, POLICY_POWERS, TRAJECTORY)
 PARTS = ("phase", "power", "motion")
 RESAMPLES = 2000
@@ -61,13 +62,19 @@ def shortest_measures(evaluator: Evaluator, seed: int) -> Measures:
         return _played(world, starts, serve)
 
     settings, count = world.phase_actions, len(starts)
-    fixed = [drive(lambda _, a=a: canonical(np.full(count, a))) for a in range(settings)]  # type: ignore[misc]
+    fixed = [drive(partial(_constant, canonical, np.full(count, a))) for a in range(settings)]
     return {
         RANDOM: drive(lambda _: canonical(generator.integers(settings, size=count))),
         FIXED: fixed[int(np.argmax([found.ee.mean() for found in fixed]))],
         PHASE: drive(by_phase),
         POWERS: drive(lambda world: oracles.best_phase_and_powers(world, weights)),
     }
+
+
+def _constant(
+    powers: Callable[[NDArray[np.int64]], Served], phase: NDArray[np.int64], _: World
+) -> Served:
+    return powers(phase)
 
 
 def _played(
@@ -101,18 +108,13 @@ def trajectory_measures(evaluator: Evaluator, slack: int, each: Each = iter) -> 
     world.reset(evaluator.starts)
     tally = EpisodeTally(world)
     for slot in range(max(len(plan.phase) for plan in plans)):
-        tally.add(
-            world.step(
-                *(np.stack(part) for part in zip(*(_at(p, slot) for p in plans), strict=True))
-            )
+        at = [min(slot, len(plan.phase) - 1) for plan in plans]  # its last slot once it has ended
+        phase, direction, level = (
+            np.stack([getattr(plan, part)[i] for plan, i in zip(plans, at, strict=True)])
+            for part in ("phase", "direction", "level")
         )
+        tally.add(world.step(phase, direction, level))
     return tally.measures()
-
-
-def _at(plan: Trajectory, slot: int) -> tuple[NDArray[np.int64], ...]:
-    """A plan's phase, directions and levels in a slot; its last ones once it has ended."""
-    slot = min(slot, len(plan.phase) - 1)
-    return plan.phase[slot], plan.direction[slot], plan.level[slot]
 
 
 def policy_measures(

@@ -17,7 +17,6 @@ from rich.table import Table
 from agent import single_threaded
 from conf import Config, ConfigError
 from experiments import gap
-from experiments.display import LABELS
 from experiments.evaluate import check_place, not_negative, positive, read_config, read_weights
 from server_app.evaluation import Evaluator
 from server_app.preflight import checked
@@ -26,7 +25,18 @@ from server_app.session import to_json
 
 EPISODES = 20
 SLACK = 4
-COLUMNS = ("ee", "ee_bits_per_joule", "sum_rate", "min_rate", "success", "path_ratio")
+COLUMNS = {
+    "ee": "EE",
+    "ee_bits_per_joule": "bit/J",
+    "sum_rate": "sum",
+    "min_rate": "min",
+    "success": "success",
+    "path_ratio": "path",
+}
+UNITS = (
+    "EE in bit/s/Hz/J; sum and min: sum rate and least mean rate in bit/s/Hz; path: ratio.\n"
+    "Shortest ways have canonical powers, or best phases and powers (best powers)."
+)
 ORDER = "in this order: best phases for the policy's motion and power picks, best powers as well"
 
 
@@ -97,7 +107,7 @@ def _read(
     what: Sequence[str],
 ) -> tuple[Config, tuple[NDArray[np.float32], NDArray[np.float32]] | None]:
     """The configuration, and a run's weights where a folder is given."""
-    folders = [item for item in what if "=" not in item]
+    folders = [item for item in what if "=" not in item or Path(item).is_dir()]
     if not folders:
         return checked(list(what)), None
     if len(what) > 1:
@@ -115,11 +125,12 @@ def _shown(starts: Iterable[NDArray[np.int64]]) -> Iterable[NDArray[np.int64]]:
 def _show(console: Console, title: str, results: dict[str, Any]) -> None:
     table = Table(title=title, title_justify="left")
     table.add_column("")
-    for key in COLUMNS:
-        table.add_column(LABELS[key], justify="right")
+    for label in COLUMNS.values():
+        table.add_column(label, justify="right")
     for name, values in results["measures"].items():
         table.add_row(name, *(_measure(key, values[key]) for key in COLUMNS))
     console.print(table)
+    console.print(UNITS, highlight=False)
     if "gap" not in results:
         return
     parts = Table(title="what the policy leaves of the trajectory's EE", title_justify="left")

@@ -15,7 +15,6 @@ from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures, EpisodeTally
 from env.world import World, draw_destinations
 
-
 Served = tuple[NDArray[np.int64], NDArray[np.int64]]
 """The AP's actions, shape (B,), and power levels, shape (B, K)."""
 
