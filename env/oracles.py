@@ -2,14 +2,16 @@
 
 Pure functions of the state of B worlds of K robots; nothing here steps a world. Powers and rates
 come from the world's own ``Downlink``, so an oracle is bound by what binds the agents. Best is the
-largest sum of the metric over the robots that drive: of R_k, or of eta_k with ``metric=qoe``.
-Searches are exhaustive, A being the number of phase settings and ties going to the lowest action.
+largest weighted sum of the metric over the robots that drive: of R_k, or of eta_k with
+``metric=qoe``. Searches are exhaustive, in parts of a bounded size, A being the number of phase
+settings and ties going to the lowest action.
 """
 
 from __future__ import annotations
 
 from itertools import combinations, product
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from env.floor import STEPS
 from env.world import World
 
 MAX_COMBINATIONS = 200_000
-"""Phases times powers of one world that are searched: a few hundred MB."""
+"""Worlds times phases times powers that are searched at once, and most powers: some 100 MB."""
 
 
 def shortest_directions(world: World) -> NDArray[np.int64]:
@@ -48,8 +50,13 @@ def shortest_directions(world: World) -> NDArray[np.int64]:
 
 def phase_gains(world: World) -> NDArray[np.float64]:
     """|h_k|^2 of every robot under every phase setting, shape (B, A, K)."""
-    channel = world.channel(np.arange(world.phase_actions)[None])
-    return np.asarray(channel.real**2 + channel.imag**2)
+    return _gains(world, np.arange(len(world.cell)), np.arange(world.phase_actions))
+
+
+def _gains(world: World, rows: NDArray[np.int64], phases: NDArray[np.int64]) -> NDArray[np.float64]:
+    """|h_k|^2 of some of the worlds under some of the phase settings, shape (b, a, K)."""
+    direct = world.direct[rows][:, None] if world.config.channel.fading == "slot" else None
+    return world.radio_map.gain(world.cell[rows][:, None], phases[None], direct)
 
 
 def canonical_levels(
@@ -70,22 +77,31 @@ def canonical_levels(
     return np.asarray(np.clip(count - _ranks(gain, driving), 1, levels))
 
 
-def best_phase(world: World, level: NDArray[np.int64]) -> NDArray[np.int64]:
+def best_phase(
+    world: World, level: NDArray[np.int64], weights: NDArray[np.float64] | None = None
+) -> NDArray[np.int64]:
     """The phase setting with the largest sum of the metric, given the robots' power picks.
 
     Args:
         world: B worlds; not changed.
         level: power levels 1..N_P, shape (B, K), or (B, A, K) where picks depend on the phase.
+        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
 
     Returns:
         The AP's actions, shape (B,).
     """
-    gain = phase_gains(world)
-    picks = level if level.ndim == gain.ndim else level[:, None]
-    return np.asarray(_sum_metric(world, gain, picks, world.driving[:, None]).argmax(axis=-1))
+    phases, weights = np.arange(world.phase_actions), _weights(world, weights)
+    picks = level if level.ndim > 2 else level[:, None]
+    best = np.zeros(len(world.cell), dtype=np.int64)
+    for at in _parts(np.arange(len(best)), max(1, MAX_COMBINATIONS // len(phases))):
+        metric = _metric(world, _gains(world, at, phases), picks[at], world.driving[at][:, None])
+        best[at] = (metric * weights[at][:, None]).sum(axis=-1).argmax(axis=-1)
+    return best
 
 
-def best_phase_and_powers(world: World) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def best_phase_and_powers(
+    world: World, weights: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The phase setting and power levels with the largest sum of the metric.
 
     With ``power.resolve=project`` the search goes over the combinations that the AP may send;
@@ -94,38 +110,96 @@ def best_phase_and_powers(world: World) -> tuple[NDArray[np.int64], NDArray[np.i
 
     Args:
         world: B worlds; not changed.
+        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
 
     Returns:
         The AP's actions, shape (B,), and levels, shape (B, K), 1 for a robot not driving.
 
     Raises:
-        ValueError: phases times powers are more than ``MAX_COMBINATIONS``.
+        ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
     """
-    phase = np.zeros(len(world.cell), dtype=np.int64)
-    level = np.ones_like(world.cell)
-    gain = phase_gains(world)
+    best = best_slots(world, _weights(world, weights)[None])
+    return best.phase[0], best.level[0]
+
+
+class BestSlots(NamedTuple):
+    """What is best in a slot under W sets of weights.
+
+    Attributes:
+        value: the weighted sum of the metric, shape (W, B); 0 where nobody drives.
+        phase: the AP's actions, shape (W, B).
+        level: power levels, shape (W, B, K), 1 for a robot that is not driving.
+    """
+
+    value: NDArray[np.float64]
+    phase: NDArray[np.int64]
+    level: NDArray[np.int64]
+
+
+def best_slots(world: World, weights: NDArray[np.float64]) -> BestSlots:
+    """As ``best_phase_and_powers``, for several sets of weights in one search.
+
+    Args:
+        world: B worlds; not changed.
+        weights: of each robot in each sum, shape (W, B, K).
+
+    Returns:
+        The best slots under each set.
+
+    Raises:
+        ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
+    """
+    shape = weights.shape[:2]
+    best = BestSlots(
+        np.zeros(shape), np.zeros(shape, dtype=np.int64), np.ones(weights.shape, dtype=np.int64)
+    )
     count = world.driving.sum(axis=-1)
     for driving in np.unique(count[count > 0]):
         ranked = _ranked_levels(world, int(driving))
-        rows = np.flatnonzero(count == driving)
-        at_once = max(1, MAX_COMBINATIONS // (world.phase_actions * len(ranked)))
-        for at in np.split(rows, range(at_once, len(rows), at_once)):
-            phase[at], level[at] = _search(world, gain[at], ranked, world.driving[at])
-    return phase, level
+        phases = min(world.phase_actions, max(1, MAX_COMBINATIONS // len(ranked)))
+        at_once = max(1, MAX_COMBINATIONS // (phases * len(ranked)))
+        for at in _parts(np.flatnonzero(count == driving), at_once):
+            best.value[:, at] = -np.inf
+            for tried in _parts(np.arange(world.phase_actions), phases):
+                _search(world, at, tried, ranked, weights[:, at], best)
+    return best
+
+
+def _parts(items: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+    return np.split(items, range(size, len(items), size))
+
+
+def _weights(world: World, weights: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Weights of shape (B, K)."""
+    return np.broadcast_to(np.asarray(1.0 if weights is None else weights), world.cell.shape)
 
 
 def _search(
-    world: World, gain: NDArray[np.float64], ranked: NDArray[np.int64], driving: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The best of A phases times C levels by rank: gain (b, A, K), ranked (C, K), driving (b, K).
+    world: World,
+    rows: NDArray[np.int64],
+    phases: NDArray[np.int64],
+    ranked: NDArray[np.int64],
+    weights: NDArray[np.float64],
+    best: BestSlots,
+) -> None:
+    """Puts into ``best`` what a of the phases with C levels by rank, shape (C, K), improve.
 
     Each rank's level is dealt to the robot that holds the rank under the phase.
     """
+    gain, driving = _gains(world, rows, phases), world.driving[rows]
     served = np.broadcast_to(driving[:, None], gain.shape)
-    picks = np.moveaxis(ranked[:, _ranks(gain, served)], 0, 2)  # (b, A, C, K)
-    sums = _sum_metric(world, gain[:, :, None], picks, served[:, :, None])
-    phase, choice = np.divmod(sums.reshape(len(gain), -1).argmax(axis=-1), len(ranked))
-    return phase, np.where(driving, picks[np.arange(len(gain)), phase, choice], 1)
+    picks = np.moveaxis(ranked[:, _ranks(gain, served)], 0, 2)  # (b, a, C, K)
+    metric = _metric(world, gain[:, :, None], picks, served[:, :, None])
+    metric, at = metric.reshape(len(rows), -1, world.robots), np.arange(len(rows))
+    for index, weight in enumerate(weights):
+        sums = (metric @ weight[:, :, None])[..., 0]
+        choice = sums.argmax(axis=-1)
+        better = sums[at, choice] > best.value[index, rows]
+        place = choice[better]
+        best.value[index, rows[better]] = sums[at[better], place]
+        best.phase[index, rows[better]] = phases[place // len(ranked)]
+        found = picks.reshape(metric.shape)[at[better], place]
+        best.level[index, rows[better]] = np.where(driving[better], found, 1)
 
 
 def _ranked_levels(world: World, driving: int) -> NDArray[np.int64]:
@@ -135,11 +209,10 @@ def _ranked_levels(world: World, driving: int) -> NDArray[np.int64]:
     levels = world.config.power.levels
     projects = world.config.power.resolve == "project"
     number = comb(levels, driving) if projects else levels**driving
-    if number * world.phase_actions > MAX_COMBINATIONS:
+    if number > MAX_COMBINATIONS:
         raise ValueError(
             f"env.power.levels={levels}: with {driving} robots that is {number} combinations of"
-            f" powers for each of {world.phase_actions} phase settings; allowed are"
-            f" {MAX_COMBINATIONS} of both together"
+            f" powers to search; allowed are {MAX_COMBINATIONS}"
         )
     falling = range(levels, 0, -1)
     chosen = combinations(falling, driving) if projects else product(falling, repeat=driving)
@@ -153,12 +226,11 @@ def _ranks(gain: NDArray[np.float64], driving: NDArray[np.bool_]) -> NDArray[np.
     return np.argsort(access.decoding_order(gain, driving), axis=-1)
 
 
-def _sum_metric(
+def _metric(
     world: World, gain: NDArray[np.float64], picks: NDArray[np.int64], served: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """sum_k R_k or eta_k of arrays that broadcast to (..., K), as the AP would allocate them."""
+    """R_k or eta_k of arrays that broadcast to (..., K), as the AP would allocate them; or 0."""
     arrays = np.broadcast_arrays(gain, picks, served)
     flat = (array.reshape(-1, array.shape[-1]) for array in arrays)
     found = reward.metric(world.downlink.allocate(*flat).rate, world.config)
-    driving = np.where(arrays[2], found.reshape(arrays[0].shape), 0.0)
-    return np.asarray(driving.sum(axis=-1))
+    return np.where(arrays[2], found.reshape(arrays[0].shape), 0.0)

@@ -11,6 +11,7 @@ usage: risfleet COMMAND ...
 
   train [KEY=VALUE ...]      train a fleet; -m KEY=A,B,... runs every combination
   evaluate RUN [options]     play a run's frozen weights on held-out starts
+  oracle RUN | KEY=VALUE ... what oracles reach, and a run's gap to them
   status RUN                 where a run is
 
   COMMAND --help             what a command takes; --version prints the version
@@ -88,6 +89,12 @@ def _evaluate(arguments: Sequence[str]) -> int:
     return main(arguments)
 
 
+def _oracle(arguments: Sequence[str]) -> int:
+    from experiments.oracle import main
+
+    return main(arguments)
+
+
 def _status(arguments: Sequence[str]) -> int:
     from experiments.status import main
 
@@ -97,6 +104,7 @@ def _status(arguments: Sequence[str]) -> int:
 _COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "train": _train,
     "evaluate": _evaluate,
+    "oracle": _oracle,
     "status": _status,
 }
 

@@ -30,9 +30,9 @@ def main(arguments: Sequence[str]) -> int:
     given = _parser().parse_args(arguments)
     folder = Path(given.run)
     try:
-        config = _read_config(folder)
+        config = read_config(folder)
         robots, ap = read_weights(folder, config)
-        _check_place(given.json)
+        check_place(given.json)
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
@@ -100,7 +100,12 @@ def read_weights(folder: Path, config: Config) -> tuple[NDArray[np.float32], NDA
     return arrays["robots"][:, 0], arrays["ap"][0]
 
 
-def _read_config(folder: Path) -> Config:
+def read_config(folder: Path) -> Config:
+    """The configuration that a run has written.
+
+    Raises:
+        ConfigError: it is not there, or wrong.
+    """
     path = folder / "config.yaml"
     try:
         return from_yaml(path.read_text())
@@ -108,8 +113,12 @@ def _read_config(folder: Path) -> Config:
         raise ConfigError(f"{folder} is no run folder: {path.name} cannot be read.") from error
 
 
-def _check_place(file: str | None) -> None:
-    """Finds a place where no file can be written before anything is played."""
+def check_place(file: str | None) -> None:
+    """Finds a place where no file can be written before anything is played.
+
+    Raises:
+        ConfigError: it is such a place.
+    """
     if file is None:
         return
     path = Path(file)
@@ -122,22 +131,24 @@ def _check_place(file: str | None) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet evaluate", description=__doc__)
     parser.add_argument("run", help="the run's folder")
-    parser.add_argument("--episodes", type=_positive, help="held-out episodes to play")
+    parser.add_argument("--episodes", type=positive, help="held-out episodes to play")
     parser.add_argument(
         "--epsilon", type=_share, action="append", help="exploration; may be given again"
     )
     parser.add_argument(
-        "--seed", type=_not_negative, help="seed of the held-out starts, if not the run's"
+        "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
     )
     parser.add_argument("--json", metavar="FILE", help="write the measures there too")
     return parser
 
 
-def _positive(text: str) -> int:
+def positive(text: str) -> int:
+    """An option's whole number of at least 1."""
     return int(_number(text, int, 1, math.inf, "a whole number of at least 1"))
 
 
-def _not_negative(text: str) -> int:
+def not_negative(text: str) -> int:
+    """An option's whole number of at least 0."""
     return int(_number(text, int, 0, math.inf, "a whole number of at least 0"))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from env.radio_map import RadioMap
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures, EpisodeTally
 from env.world import World, draw_destinations
+
+Served = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""The AP's actions, shape (B,), and power levels, shape (B, K)."""
 
 
 class Evaluator:
@@ -28,6 +31,10 @@ class Evaluator:
         radio_map: tables to share; built if None.
         episodes: how many; ``config.evaluation.episodes`` if None.
         starts_seed: seed of the evaluation stream, the run's if None; destinations stay the run's.
+
+    Attributes:
+        world: the world that is played in.
+        starts: the cells of the held-out starts, shape (episodes, K).
     """
 
     def __init__(
@@ -44,7 +51,7 @@ class Evaluator:
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         generator = stream(self._seed, Stream.EVALUATION)
         self.world = World(config.env, destinations, generator, self.episodes, radio_map)
-        self._starts = self.world.draw_starts(self.episodes)
+        self.starts = self.world.draw_starts(self.episodes)
 
     def play(
         self,
@@ -52,6 +59,7 @@ class Evaluator:
         ap: NDArray[np.float32],
         epsilons: Sequence[float],
         trace: list[NDArray[np.int64]] | None = None,
+        serve: Callable[[World, Served], Served] | None = None,
     ) -> list[EpisodeMeasures]:
         """Plays the episodes to their end, once with each epsilon.
 
@@ -61,13 +69,15 @@ class Evaluator:
             epsilons: probabilities of a random action, for every agent.
             trace: takes the cells of every slot, the start first, if given: arrays of shape
                 (len(epsilons) * episodes, K).
+            serve: replaces the agents' phases and power levels in every slot, if given; motion
+                stays theirs, since no agent observes the phase or powers.
 
         Returns:
             The measures for each epsilon.
         """
         world = self.world
         fading = [stream(self._seed, Stream.EVALUATION, 2) for _ in epsilons]
-        world.reset(np.concatenate([self._starts] * len(epsilons)), fading)
+        world.reset(np.concatenate([self.starts] * len(epsilons)), fading)
         tally = EpisodeTally(world)
         exploration = _Exploration(self._seed, epsilons, self.episodes)
         if trace is not None:
@@ -77,7 +87,10 @@ class Evaluator:
             state = world.global_observation(local)
             phase = exploration(self._best_phase(state, ap), self._ap.actions)
             action = exploration(self._best_actions(local, robots), self._robot.actions)
-            outcome = world.step(phase, *actions.decode(action, self._levels))
+            direction, level = actions.decode(action, self._levels)
+            if serve is not None:
+                phase, level = serve(world, (phase, level))
+            outcome = world.step(phase, direction, level)
             tally.add(outcome)
             if trace is not None:
                 trace.append(world.cell)

@@ -150,9 +150,10 @@ def test_a_search_in_parts_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> No
     world = shared("project")
     world.reset(np.random.default_rng(3).integers(world.floor.cells, size=(9, world.robots)))
     whole = oracles.best_phase_and_powers(world)
-    monkeypatch.setattr(oracles, "MAX_COMBINATIONS", 200)
-    for part, all_at_once in zip(oracles.best_phase_and_powers(world), whole, strict=True):
-        np.testing.assert_array_equal(part, all_at_once)
+    for most in (200, 40):
+        monkeypatch.setattr(oracles, "MAX_COMBINATIONS", most)
+        for part, all_at_once in zip(oracles.best_phase_and_powers(world), whole, strict=True):
+            np.testing.assert_array_equal(part, all_at_once)
     monkeypatch.setattr(oracles, "MAX_COMBINATIONS", 10)
     with pytest.raises(ValueError, match=r"env.power.levels=6: with 3 robots .* allowed are 10"):
         oracles.best_phase_and_powers(world)
@@ -223,3 +224,62 @@ def test_shortest_directions_take_the_longer_axis_first() -> None:
     for across, up, step in ways:
         world = bound_for(goal, goal - across - up * 60)
         assert tuple(STEPS[oracles.shortest_directions(world)[0, 0]]) == step
+
+
+@pytest.mark.parametrize("name", ["two_subsurfaces", "residual", "zero", "oma", "qoe"])
+def test_weighted_oracles_are_those_of_a_plain_search(name: str) -> None:
+    world = shared(name)
+    random = np.random.default_rng(8)
+    world.reset(random.integers(world.floor.cells, size=(3, world.robots)))
+    weights = random.uniform(0.1, 3.0, size=world.cell.shape)
+    every = [
+        np.tile(picks, (3, 1))
+        for picks in product(range(1, world.config.power.levels + 1), repeat=world.robots)
+    ]
+
+    def value(phase: NDArray[np.int64], level: NDArray[np.int64]) -> NDArray[np.float64]:
+        gain = oracles.phase_gains(world)[np.arange(3), phase]
+        rate = world.downlink.allocate(gain, level, world.driving).rate
+        if world.config.metric == "qoe":
+            rate = np.log10(np.maximum(rate, 0.01))
+        return np.asarray((weights * rate).sum(axis=-1))
+
+    phases = [np.full(3, phase) for phase in range(world.phase_actions)]
+    tried = [value(phase, level) for level in every for phase in phases]
+    best = value(*oracles.best_phase_and_powers(world, weights))
+    np.testing.assert_allclose(best, np.max(tried, axis=0), rtol=1e-12)
+    given_powers = value(oracles.best_phase(world, every[1], weights), every[1])
+    searched = [value(phase, every[1]) for phase in phases]
+    np.testing.assert_allclose(given_powers, np.max(searched, axis=0), rtol=1e-12)
+
+
+def test_weights_decide_who_is_served_best() -> None:
+    world = shared("project")
+    world.reset(np.random.default_rng(5).integers(world.floor.cells, size=(3, world.robots)))
+    for robot in range(world.robots):
+        weights = np.where(np.arange(world.robots) == robot, 1.0, 1e-9)
+        phase, level = oracles.best_phase_and_powers(world, weights)
+        gain = oracles.phase_gains(world)[np.arange(3), phase]
+        own = world.downlink.allocate(gain, level, world.driving).rate[:, robot]
+        plain, equal = oracles.best_phase_and_powers(world)
+        gain = oracles.phase_gains(world)[np.arange(3), plain]
+        assert (own >= world.downlink.allocate(gain, equal, world.driving).rate[:, robot]).all()
+
+
+def test_thousands_of_phases_are_searched_in_parts() -> None:
+    """4,096 settings times 20 powers of two worlds: more than one part of a world's own."""
+    config = checked_config({"ris": {"bits": 2, "subsurfaces": 6}, "room": {"cell_m": 3.0}})
+    destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
+    world = World(config, destinations, stream(0, Stream.WORLD), 2)
+    assert world.phase_actions == 4096
+    world.reset()
+    rows = np.arange(2)
+    phase, level = oracles.best_phase_and_powers(world)
+    best = slot_metric(world, phase, level)
+    given_powers = oracles.best_phase(world, level)
+    np.testing.assert_allclose(slot_metric(world, given_powers, level), best, rtol=1e-12)
+    gain = oracles.phase_gains(world)[:, ::64]
+    for index in range(gain.shape[1]):
+        levels = oracles.canonical_levels(gain[:, index], world.driving, 6)
+        rate = world.downlink.allocate(gain[rows, index], levels, world.driving).rate
+        assert (rate.sum(axis=-1) <= best + 1e-9).all()

@@ -1,0 +1,114 @@
+"""Paths over the floor in a fixed number of slots: which there are, and which is worth most.
+
+Functions of the table of moves, ``World.next_cell``: where a move leads is read, not computed. A
+path ends when its destination is entered for the first time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Path = NDArray[np.int64]
+"""The directions of a robot's moves, shape (T_k,)."""
+
+
+def cells_along(after: NDArray[np.int64], start: int, path: Path) -> NDArray[np.int64]:
+    """The cells of a path, the first and the last included, shape (T_k + 1,)."""
+    cells = [start]
+    for direction in path:
+        cells.append(int(after[cells[-1], direction]))
+    return np.array(cells)
+
+
+def free_moves(
+    after: NDArray[np.int64], slots: int, others: Sequence[NDArray[np.int64]]
+) -> NDArray[np.bool_]:
+    """Which moves do not meet robots that drive: no cell that one holds then, and no swap.
+
+    Args:
+        after: the cell that each move leads to, shape (cells, 4).
+        slots: T, how many slots to look at.
+        others: the cells along the paths of the other robots, shape (T_j + 1,) each; a robot that
+            has arrived holds no cell.
+
+    Returns:
+        Whether a move is free, shape (T, cells, 4).
+    """
+    free = np.ones((slots, *after.shape), dtype=bool)
+    for path in others:
+        for slot in range(min(slots, len(path) - 1)):
+            here, there = path[slot], path[slot + 1]
+            if slot + 1 < len(path) - 1:
+                free[slot][after == there] = False
+            free[slot, there] &= after[there] != here
+    return free
+
+
+def ways_to(after: NDArray[np.int64], goal: int, moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """From where one first arrives after exactly the slots that are left.
+
+    Args:
+        after: the cell that each move leads to, shape (cells, 4).
+        goal: the destination.
+        moves: which moves are free in each slot, shape (T, cells, 4).
+
+    Returns:
+        By slots gone and cell, shape (T + 1, cells).
+    """
+    slots = len(moves)
+    ways = np.zeros((slots + 1, len(after)), dtype=bool)
+    ways[slots, goal] = True
+    for slot in reversed(range(slots)):
+        ways[slot] = (moves[slot] & ways[slot + 1][after]).any(axis=-1)
+        if slot:
+            ways[slot, goal] = False
+    return ways
+
+
+def ways_from(
+    after: NDArray[np.int64], start: int, goal: int, moves: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Where one can be after so many slots without having arrived; as ``ways_to``."""
+    reached = np.zeros((len(moves) + 1, len(after)), dtype=bool)
+    reached[0, start] = True
+    for slot, allowed in enumerate(moves):
+        reached[slot + 1, after[reached[slot][:, None] & allowed]] = True
+        reached[slot + 1, goal] = False
+    return reached
+
+
+def best_way(
+    after: NDArray[np.int64],
+    start: int,
+    stage: NDArray[np.float64],
+    moves: NDArray[np.bool_],
+    ways: NDArray[np.bool_],
+) -> tuple[float, Path]:
+    """The path of T slots that collects most, by backward induction.
+
+    Args:
+        after: the cell that each move leads to, shape (cells, 4).
+        start: the first cell.
+        stage: what a slot in a cell brings, shape (T, cells).
+        moves: which moves are free, shape (at least T, cells, 4).
+        ways: ``ways_to`` of the destination, shape (T + 1, cells).
+
+    Returns:
+        What the path collects, -inf where there is none, and its directions, ties going to the
+        lowest direction.
+    """
+    slots = len(stage)
+    value = np.where(ways[slots], 0.0, -np.inf)
+    choice = np.zeros((slots, len(after)), dtype=np.int64)
+    for slot in reversed(range(slots)):
+        follow = np.where(moves[slot], value[after], -np.inf)
+        choice[slot] = follow.argmax(axis=-1)
+        value = np.where(ways[slot], stage[slot] + follow.max(axis=-1), -np.inf)
+    total, cell, path = float(value[start]), start, np.zeros(slots, dtype=np.int64)
+    for slot in range(slots):
+        path[slot] = choice[slot, cell]
+        cell = int(after[cell, path[slot]])
+    return total, path

@@ -1,0 +1,133 @@
+"""``risfleet oracle``: policies that are bounds, and the parts of a run's gap."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conf import compose, from_yaml
+from env import oracles
+from env.world import World
+from experiments import gap
+from experiments.cli import main
+from experiments.evaluate import read_weights
+from server_app.evaluation import Evaluator, Served
+
+SMALL = ("env.robots=2", "env.room.cell_m=2.0")
+
+
+def test_a_policys_paths_stay_when_phases_and_powers_are_replaced(tiny_run: Path) -> None:
+    config = from_yaml((tiny_run / "config.yaml").read_text())
+    robots, ap = read_weights(tiny_run, config)
+    evaluator = Evaluator(config, episodes=3)
+
+    def best(world: World, served: Served) -> Served:
+        return oracles.best_phase_and_powers(world)
+
+    plain: list[NDArray[np.int64]] = []
+    replaced: list[NDArray[np.int64]] = []
+    (played,) = evaluator.play(robots, ap, (0.0,), plain)
+    (served,) = evaluator.play(robots, ap, (0.0,), replaced, best)
+    np.testing.assert_array_equal(np.stack(plain), np.stack(replaced))
+    assert (served.sum_rate > played.sum_rate).all()
+
+
+def test_a_service_that_replaces_nothing_changes_nothing(tiny_run: Path) -> None:
+    config = from_yaml((tiny_run / "config.yaml").read_text())
+    robots, ap = read_weights(tiny_run, config)
+    evaluator = Evaluator(config, episodes=3)
+    plain = evaluator.play(robots, ap, (0.0, 0.1))
+    same = evaluator.play(robots, ap, (0.0, 0.1), serve=lambda _, served: served)
+    for one, other in zip(plain, same, strict=True):
+        np.testing.assert_array_equal(one.ee, other.ee)
+
+
+def test_oracles_are_ordered_as_their_freedom_is() -> None:
+    evaluator = Evaluator(compose(SMALL), episodes=4)
+    found = gap.shortest_measures(evaluator, 0)
+    found[gap.TRAJECTORY] = gap.trajectory_measures(evaluator, 2)
+    mean = {name: measures.ee.mean() for name, measures in found.items()}
+    assert mean[gap.RANDOM] < mean[gap.PHASE]
+    assert mean[gap.FIXED] <= mean[gap.PHASE]
+    assert (found[gap.POWERS].ee >= found[gap.PHASE].ee - 1e-12).all()
+    assert (found[gap.TRAJECTORY].ee >= found[gap.POWERS].ee - 1e-12).all()
+    assert mean[gap.TRAJECTORY] > mean[gap.POWERS]
+    assert all((measures.success == 1).all() for measures in found.values())
+
+
+def test_the_parts_of_the_gap_add_up_and_the_first_two_are_no_loss(tiny_run: Path) -> None:
+    config = from_yaml((tiny_run / "config.yaml").read_text())
+    evaluator = Evaluator(config, episodes=4)
+    found = gap.policy_measures(evaluator, *read_weights(tiny_run, config))
+    assert (found[gap.POLICY_PHASE].ee >= found[gap.POLICY].ee - 1e-12).all()
+    assert (found[gap.POLICY_POWERS].ee >= found[gap.POLICY_PHASE].ee - 1e-12).all()
+    found[gap.TRAJECTORY] = gap.trajectory_measures(evaluator, 0)
+    parts = gap.gap(found, 0)
+    assert parts["whole"]["mean"] == sum(parts[name]["mean"] for name in gap.PARTS)
+    difference = found[gap.TRAJECTORY].ee - found[gap.POLICY].ee
+    assert parts["whole"]["mean"] == pytest.approx(difference.mean(), rel=1e-12)
+    for part in parts.values():
+        assert part["low"] <= part["mean"] <= part["high"]
+    assert gap.gap(found, 0) == parts
+    assert gap.gap(found, 1) != parts
+
+
+def test_a_run_is_compared(
+    tiny_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "oracle.json"
+    options = ["--episodes", "2", "--slack", "0", "--json", str(out)]
+    assert main(["oracle", str(tiny_run), *options]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for word in ("2 held-out episodes", "policy, best phase", "trajectory", "in this order"):
+        assert word in printed
+    written = json.loads(out.read_text())
+    assert set(gap.STEPS) <= set(written["measures"])
+    assert set(written["gap"]) == {*gap.PARTS, "whole"}
+    frozen = tmp_path / "frozen.json"
+    assert main(["evaluate", str(tiny_run), "--episodes", "2", "--json", str(frozen)]) == 0
+    assert written["measures"]["policy"]["ee"] == json.loads(frozen.read_text())["eps = 0"]["ee"]
+
+
+def test_overrides_are_compared_on_the_starts_of_their_seed(tmp_path: Path) -> None:
+    found: list[dict[str, Any]] = []
+    for number, seed in enumerate(("5", "5", "6")):
+        out = tmp_path / f"{number}.json"
+        options = ["--episodes", "2", "--slack", "0", "--seed", seed, "--json", str(out)]
+        assert main(["oracle", *SMALL, *options]) == 0
+        found.append(json.loads(out.read_text()))
+    assert found[0] == found[1]
+    assert found[0]["measures"]["trajectory"] != found[2]["measures"]["trajectory"]
+    assert "gap" not in found[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere"], "is no run folder"),
+        (["nowhere", "seed=1"], "allowed is one run folder"),
+        (["env.robot=2"], "env.robot"),
+        (["env.channel.fading=slot"], "env.channel.fading=slot: allowed is static or none"),
+        ([*SMALL, "env.motion.max_slots=3"], "env.motion.max_slots=3: "),
+        (["--json", "no/such/file.json"], "--json no/such/file.json: allowed is"),
+    ],
+)
+def test_mistakes_cost_one_sentence(
+    arguments: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["oracle", *arguments]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert said in shown.err
+    assert "Traceback" not in shown.err
+    assert not list(tmp_path.iterdir())
