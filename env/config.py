@@ -48,6 +48,8 @@ class RisConfig:
     response: str = "coherent"
     spacing: float = 0.5  # of neighbouring elements, in wavelengths
     axis: str = "y"  # the panel's horizontal direction
+    action: str = "phases"  # what the AP chooses among
+    sectors: list[int] = field(default_factory=lambda: [6, 6])  # of the codebook, along x and y
 
 
 @dataclass(frozen=True)
@@ -173,6 +175,7 @@ MAX_ROBOTS = 64
 MAX_POWER_LEVELS = 48  # sums of the levels stay exact in float64
 MAX_PHASE_ACTIONS = 4096
 MAX_CELLS = 250_000
+MAX_PAIRS = 10**9  # of elements and cells whose distances the far and near field need
 CHOICES: dict[str, tuple[str, ...]] = {
     "env.access": ("noma", "oma"),
     "env.metric": ("qos", "qoe"),
@@ -181,6 +184,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "env.tasks.start": ("random", "fixed"),
     "env.ris.response": ("coherent", "far", "near", "rayleigh"),
     "env.ris.axis": ("x", "y"),
+    "env.ris.action": ("phases", "codebook"),
     "env.channel.fading": ("static", "none", "slot"),
     "env.channel.los_phase": ("zero", "distance"),
     "env.power.resolve": ("project", "residual", "zero"),
@@ -222,6 +226,9 @@ def problems(config: EnvConfig) -> list[Problem]:
     found = [*_choice_problems(config), *(_finite_problems(config) or _range_problems(config))]
     if not found:
         found += [*_geometry_problems(config), *_combination_problems(config)]
+        found += _pair_problems(config)
+        if config.ris.action == "codebook":
+            found += _codebook_problems(config)
     return found
 
 
@@ -390,3 +397,45 @@ def _combination_problems(config: EnvConfig) -> list[Problem]:
         )
         found.append(("env.power.levels", power.levels, allowed))
     return found
+
+
+def phase_actions(ris: RisConfig) -> int:
+    """The number of the AP's actions: N_R^N phase settings, or the codebook's beams."""
+    if ris.action == "codebook":
+        return math.prod(ris.sectors)
+    return int((2**ris.bits) ** ris.subsurfaces)
+
+
+def _pair_problems(config: EnvConfig) -> list[Problem]:
+    """Whether the distances from every element to every cell are too many to work out."""
+    ris, room = config.ris, config.room
+    cells = round(room.width_m / room.cell_m) * round(room.depth_m / room.cell_m)
+    if ris.response not in ("far", "near") or ris.side**2 * cells <= MAX_PAIRS:
+        return []
+    allowed = (
+        f"at most {math.isqrt(MAX_PAIRS // cells)} with env.ris.response={ris.response} and"
+        f" {cells} cells, since elements times cells may be {MAX_PAIRS} at most"
+    )
+    return [("env.ris.side", ris.side, allowed)]
+
+
+def _codebook_problems(config: EnvConfig) -> list[Problem]:
+    """Whether beams can be made: from places of elements, for sectors that have cells."""
+    ris, room, say = config.ris, config.room, "with env.ris.action=codebook"
+    if ris.response not in ("far", "near"):
+        allowed = f"far or near {say}, since a beam needs elements with places"
+        return [("env.ris.response", ris.response, allowed)]
+    if ris.subsurfaces != 1:
+        allowed = f"1 {say}, which sets every element by itself"
+        return [("env.ris.subsurfaces", ris.subsurfaces, allowed)]
+    if ris.side == 0:
+        return [("env.ris.side", ris.side, f"at least 1 {say}")]
+    cells = [round(length / room.cell_m) for length in (room.width_m, room.depth_m)]
+    shape = len(ris.sectors) == 2 and all(isinstance(number, int) for number in ris.sectors)
+    if not shape or not all(1 <= n <= most for n, most in zip(ris.sectors, cells, strict=True)):
+        allowed = f"[columns, rows] of 1 to {cells[0]} and 1 to {cells[1]}, the cells there are"
+        return [("env.ris.sectors", ris.sectors, allowed)]
+    if phase_actions(ris) > MAX_PHASE_ACTIONS:
+        allowed = f"at most {MAX_PHASE_ACTIONS} sectors, each of which is an action of the AP"
+        return [("env.ris.sectors", ris.sectors, allowed)]
+    return []
