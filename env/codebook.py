@@ -12,8 +12,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from env.config import EnvConfig
 from env.floor import Floor
-from env.propagation import MAX_AT_ONCE, Excess, path_phase, phases
+from env.propagation import (
+    MAX_AT_ONCE,
+    Excess,
+    element_offsets_m,
+    far_excess_m,
+    near_excess_m,
+    path_phase,
+    phases,
+    wavelength_m,
+)
 
 ITERATIONS = 8
 """Rounds of spreading a beam over its sector."""
@@ -33,6 +43,17 @@ class Panel(NamedTuple):
     offsets_m: NDArray[np.float64]
     wavelength_m: float
     excess: Excess
+
+    @classmethod
+    def from_config(cls, config: EnvConfig) -> Panel:
+        """The surface of a configuration with ``ris.response`` far or near."""
+        ris, length_m = config.ris, wavelength_m(config.channel.frequency_ghz)
+        return cls(
+            np.asarray(config.ap.position_m) - np.asarray(ris.position_m),
+            element_offsets_m(ris.side, ris.spacing * length_m, ris.axis),
+            length_m,
+            far_excess_m if ris.response == "far" else near_excess_m,
+        )
 
     def waves(self, points_m: NDArray[np.float64]) -> NDArray[np.complex128]:
         """e^{-jk (path over the element - path over the centre)} of each element.
@@ -72,9 +93,7 @@ def focus(waves: NDArray[np.complex128]) -> NDArray[np.float64]:
     return np.asarray(np.angle(theta))
 
 
-def _align(
-    waves: NDArray[np.complex128], theta: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
+def _align(waves: NDArray[np.complex128], theta: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """One round of ``focus``: factors e^{j theta_m}, shape (M,)."""
     total = waves @ theta
     return np.exp(1j * np.angle(np.conj(waves).T @ np.exp(1j * np.angle(total))))

@@ -174,15 +174,15 @@ def _response(
         return propagation.rayleigh_response(
             incoming, outgoing, elements, ris.subsurfaces, generator
         )
+    if ris.action == "codebook":
+        panel = codebook.Panel.from_config(config)
+        sector = codebook.sector_of_cells(Floor.from_config(config), *ris.sectors)
+        index = codebook.beams(panel, points_m, sector, ris.bits)
+        return incoming * outgoing[:, None] * codebook.factors(panel, points_m, index, ris.bits)
     far = ris.response == "far"
     excess = propagation.far_excess_m if far else propagation.near_excess_m
     wavelength_m = propagation.wavelength_m(config.channel.frequency_ghz)
     offsets_m = propagation.element_offsets_m(ris.side, ris.spacing * wavelength_m, ris.axis)
-    if ris.action == "codebook":
-        panel = codebook.Panel(ap_m, offsets_m, wavelength_m, excess)
-        sector = codebook.sector_of_cells(Floor.from_config(config), *ris.sectors)
-        index = codebook.beams(panel, points_m, sector, ris.bits)
-        return incoming * outgoing[:, None] * codebook.factors(panel, points_m, index, ris.bits)
     factor = propagation.array_factor(
         ap_m, points_m, offsets_m, ris.subsurfaces, wavelength_m, excess
     )

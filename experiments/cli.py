@@ -12,6 +12,7 @@ usage: risfleet COMMAND ...
   train [KEY=VALUE ...]      train a fleet; -m KEY=A,B,... runs every combination
   evaluate RUN [options]     play a run's frozen weights on held-out starts
   status RUN                 where a run is
+  map [KEY=VALUE ...]        what the RIS gains on a radio map; --out FILE.png draws it
 
   COMMAND --help             what a command takes; --version prints the version
 
@@ -94,10 +95,17 @@ def _status(arguments: Sequence[str]) -> int:
     return main(arguments)
 
 
+def _map(arguments: Sequence[str]) -> int:
+    from experiments.map import main
+
+    return main(arguments)
+
+
 _COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "train": _train,
     "evaluate": _evaluate,
     "status": _status,
+    "map": _map,
 }
 
 if __name__ == "__main__":
