@@ -25,7 +25,7 @@ from env.propagation import (
     wavelength_m,
 )
 
-ITERATIONS = 8
+ITERATIONS = 3
 """Rounds of spreading a beam over its sector."""
 
 
@@ -96,13 +96,13 @@ def focus(waves: NDArray[np.complex128]) -> NDArray[np.float64]:
 def _align(waves: NDArray[np.complex128], theta: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """One round of ``focus``: factors e^{j theta_m}, shape (M,)."""
     total = waves @ theta
-    return np.exp(1j * np.angle(np.conj(waves).T @ np.exp(1j * np.angle(total))))
+    return np.asarray(np.exp(1j * np.angle(np.conj(waves).T @ np.exp(1j * np.angle(total)))))
 
 
 def quantise(theta: NDArray[np.float64], bits: int) -> NDArray[np.int64]:
     """The index of the nearest phase of ``propagation.phases``, for phases in rad, same shape."""
     count = 2**bits
-    return np.floor(theta / (2.0 * np.pi / count)).astype(np.int64) % count
+    return np.asarray(np.floor(theta / (2.0 * np.pi / count)).astype(np.int64) % count)
 
 
 def beams(
