@@ -5,6 +5,7 @@ from __future__ import annotations
 from agent import NetworkShape
 from conf.schema import Config
 from env import actions
+from env.config import phase_actions
 from env.observation import Observer
 
 
@@ -18,10 +19,9 @@ def robot_network(config: Config) -> NetworkShape:
 
 
 def ap_network(config: Config) -> NetworkShape:
-    """The DQN of the access point: s_G to N_R^N phase settings."""
-    ris = config.env.ris
+    """The DQN of the access point: s_G to its phase settings or its codebook's beams."""
     return NetworkShape(
         Observer(config.env).global_size,
         tuple(config.agent.hidden),
-        (2**ris.bits) ** ris.subsurfaces,
+        phase_actions(config.env.ris),
     )

@@ -5,6 +5,7 @@ Values are the defaults of ``docs/assumptions.md``; "Table I" is the paper's tab
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -50,6 +51,8 @@ class RisConfig:
     response: str = "coherent"
     spacing: float = 0.5  # of neighbouring elements, in wavelengths
     axis: str = "y"  # the panel's horizontal direction
+    action: str = "phases"  # what the AP chooses among
+    sectors: list[int] = field(default_factory=lambda: [6, 6])  # of the codebook, along x and y
 
 
 @dataclass(frozen=True)
@@ -184,6 +187,7 @@ MAX_ROBOTS = 64
 MAX_POWER_LEVELS = 48  # sums of the levels stay exact in float64
 MAX_PHASE_ACTIONS = 4096
 MAX_CELLS = 250_000
+MAX_PAIRS = 10**9  # of elements and cells whose distances the far and near field need
 CHOICES: dict[str, tuple[str, ...]] = {
     "env.access": ("noma", "oma"),
     "env.metric": ("qos", "qoe"),
@@ -193,6 +197,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "env.tasks.start": ("random", "fixed"),
     "env.ris.response": ("coherent", "far", "near", "rayleigh"),
     "env.ris.axis": ("x", "y"),
+    "env.ris.action": ("phases", "codebook"),
     "env.channel.fading": ("static", "none", "slot"),
     "env.channel.los_phase": ("zero", "distance"),
     "env.power.resolve": ("project", "residual", "zero"),
@@ -228,3 +233,10 @@ BETWEEN: dict[str, tuple[float, float]] = {
     "env.room.width_m": (1, 1000),
     "env.room.depth_m": (1, 1000),
 }
+
+
+def phase_actions(ris: RisConfig) -> int:
+    """The number of the AP's actions: N_R^N phase settings, or the codebook's beams."""
+    if ris.action == "codebook":
+        return math.prod(ris.sectors)
+    return int((2**ris.bits) ** ris.subsurfaces)

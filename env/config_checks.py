@@ -24,6 +24,7 @@ from env.config import (
 )
 from env.floor import Floor
 from env.reward import distance_m
+from env.ris_checks import codebook_problems, pair_problems
 
 
 def problems(config: EnvConfig) -> list[Problem]:
@@ -32,6 +33,9 @@ def problems(config: EnvConfig) -> list[Problem]:
     found += plugins.problems(config)
     if not found:
         found += [*_geometry_problems(config), *_combination_problems(config)]
+        found += pair_problems(config)
+        if config.ris.action == "codebook":
+            found += codebook_problems(config)
     return found
 
 

@@ -25,10 +25,10 @@ _OUTLINE = [patheffects.withStroke(linewidth=3.2, foreground="white")]
 
 def best_gain_db(radio_map: RadioMap) -> NDArray[np.float64]:
     """|h|^2 in dB at each cell under the phase setting that is best there, shape (cells,)."""
-    amplitude = np.zeros(len(radio_map.direct))
-    for setting in radio_map.settings:
-        channel = radio_map.direct + radio_map.reflected @ setting
-        amplitude = np.maximum(amplitude, np.abs(channel))
+    cell = np.arange(len(radio_map.direct))
+    amplitude = np.zeros(len(cell))
+    for action in range(len(radio_map.settings)):
+        amplitude = np.maximum(amplitude, np.abs(radio_map.channel(cell, np.array(action))))
     return np.asarray(20.0 * np.log10(amplitude))
 
 

@@ -49,6 +49,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | robot | ``Discrete(4 N_P)`` | direction (n, s, e, w) * N_P + level - 1; power P_max/2^level |
     | ap    | ``Discrete(N_R^N)`` | its N base-N_R digits are phases, (digit + 1/2) 2 pi / N_R    |
 
+    With ``ris.action=codebook`` the access point's space is ``Discrete`` of the number of sectors,
+    and action ``a`` is the beam of sector ``a``, row by row from the bottom up.
+
     A move out of the room stays put, with ``walls.block_motion`` also one through a wall, with
     ``collisions=block`` one into another robot's cell (lower index first). Levels are picks: with
     ``power.resolve=project`` the AP sends the nearest combination that every robot can decode.

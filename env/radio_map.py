@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from env import plugins, propagation
-from env.config import EnvConfig
+from env import codebook, plugins, propagation
+from env.config import EnvConfig, RisConfig, phase_actions
 from env.floor import Floor, line_of_sight
 from env.seeding import Stream, stream
 
@@ -24,11 +24,14 @@ class RadioMap:
     Attributes:
         direct: hbar, the AP-robot channel, complex, shape (cells,); with ``channel.fading=slot``
             its part that stays, by which the world multiplies each slot's fading.
-        reflected: c_n, the AP-RIS-robot channel of each sub-surface at phase 0, (cells, N).
-        settings: e^{j theta} of each action of the AP, shape (N_R^N, N).
+        reflected: c_n, the AP-RIS-robot channel of each sub-surface at phase 0, (cells, N); with
+            ``ris.action=codebook`` that of the whole surface under each beam, (cells, beams).
+        settings: e^{j theta} of each action of the AP, shape (N_R^N, N); ones of shape
+            (beams, 1) with a codebook, whose phases ``reflected`` contains.
         direct_db: |direct|^2 in dB as robots measure it, float32, shape (cells,).
         direct_los: whether the AP is in line of sight, shape (cells,).
         ris_los: whether the RIS is in line of sight, shape (cells,).
+        codebook: whether an action is a beam, a column of ``reflected``.
     """
 
     direct: NDArray[np.complex128]
@@ -37,6 +40,7 @@ class RadioMap:
     direct_db: NDArray[np.float32]
     direct_los: NDArray[np.bool_]
     ris_los: NDArray[np.bool_]
+    codebook: bool = False
 
     def channel(
         self,
@@ -54,8 +58,11 @@ class RadioMap:
         Returns:
             h_k, shape (..., K).
         """
-        theta = self.settings[phase_action]
-        reflected = (self.reflected[cell] * theta[..., None, :]).sum(axis=-1)
+        if self.codebook:
+            reflected = self.reflected[cell, phase_action[..., None]]
+        else:
+            theta = self.settings[phase_action]
+            reflected = (self.reflected[cell] * theta[..., None, :]).sum(axis=-1)
         return np.asarray((self.direct[cell] if direct is None else direct) + reflected)
 
     def gain(
@@ -99,11 +106,19 @@ def build_radio_map(config: EnvConfig) -> RadioMap:
     return RadioMap(
         direct=direct,
         reflected=reflected,
-        settings=propagation.phase_settings(config.ris.bits, config.ris.subsurfaces),
+        settings=_settings(config.ris),
         direct_db=(20.0 * np.log10(np.abs(direct))).astype(np.float32),
         direct_los=direct_los,
         ris_los=ris_los,
+        codebook=config.ris.action == "codebook",
     )
+
+
+def _settings(ris: RisConfig) -> NDArray[np.complex128]:
+    """What the AP's actions are, ``RadioMap.settings``."""
+    if ris.action == "codebook":
+        return np.ones((phase_actions(ris), 1), dtype=np.complex128)
+    return propagation.phase_settings(ris.bits, ris.subsurfaces)
 
 
 def _direct(
@@ -126,7 +141,7 @@ def _direct(
 def _reflected(
     config: EnvConfig, at: NDArray[np.float64], los: NDArray[np.bool_]
 ) -> NDArray[np.complex128]:
-    """c_n at points in m, shape (P, N)."""
+    """c_n at points in m, shape (P, N), or c under each beam, shape (P, beams)."""
     ap, ris = np.asarray(config.ap.position_m), np.asarray(config.ris.position_m)
     frequency = config.channel.frequency_ghz
     feed_los = line_of_sight(ris, ap[None, :2], Floor.from_config(config).walls)
@@ -163,6 +178,11 @@ def _response(
         return propagation.rayleigh_response(
             incoming, outgoing, elements, ris.subsurfaces, generator
         )
+    if ris.action == "codebook":
+        panel = codebook.Panel.from_config(config)
+        sector = codebook.sector_of_cells(Floor.from_config(config), *ris.sectors)
+        index = codebook.beams(panel, points_m, sector, ris.bits)
+        return incoming * outgoing[:, None] * codebook.factors(panel, points_m, index, ris.bits)
     far = ris.response == "far"
     excess = propagation.far_excess_m if far else propagation.near_excess_m
     wavelength_m = propagation.wavelength_m(config.channel.frequency_ghz)

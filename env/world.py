@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from env import collisions, guidance, reward, starts
 from env.allocation import Allocation, Downlink
-from env.config import EnvConfig
+from env.config import EnvConfig, phase_actions
 from env.floor import Floor
 from env.observation import Observer
 from env.propagation import small_scale_fading
@@ -124,8 +124,8 @@ class World:
 
     @property
     def phase_actions(self) -> int:
-        """N_R^N, the AP's actions."""
-        return len(self.radio_map.settings)
+        """The AP's actions: N_R^N, or the beams of a codebook."""
+        return phase_actions(self.config.ris)
 
     @property
     def direct(self) -> NDArray[np.complex128]:

@@ -13,6 +13,7 @@ usage: risfleet COMMAND ...
   evaluate RUN [options]     play a run's frozen weights on held-out starts
   oracle RUN | KEY=VALUE ... what oracles reach, and a run's gap to them
   status RUN                 where a run is
+  map [KEY=VALUE ...]        what the RIS gains on a radio map; --out FILE.png draws it
 
   COMMAND --help             what a command takes; --version prints the version
 
@@ -101,11 +102,18 @@ def _status(arguments: Sequence[str]) -> int:
     return main(arguments)
 
 
+def _map(arguments: Sequence[str]) -> int:
+    from experiments.map import main
+
+    return main(arguments)
+
+
 _COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "train": _train,
     "evaluate": _evaluate,
     "oracle": _oracle,
     "status": _status,
+    "map": _map,
 }
 
 if __name__ == "__main__":

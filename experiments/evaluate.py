@@ -32,7 +32,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         config = read_config(folder)
         robots, ap = read_weights(folder, config)
-        check_place(given.json)
+        check_place("--json", given.json)
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
@@ -113,19 +113,19 @@ def read_config(folder: Path) -> Config:
         raise ConfigError(f"{folder} is no run folder: {path.name} cannot be read.") from error
 
 
-def check_place(file: str | None) -> None:
-    """Finds a place where no file can be written before anything is played.
+def check_place(option: str, file: str | None) -> None:
+    """Finds a place where no file can be written before anything is worked out.
 
     Raises:
-        ConfigError: it is such a place.
+        ConfigError: the option's file is a folder, or in none that can be written to.
     """
     if file is None:
         return
     path = Path(file)
     if not file or path.is_dir() or not path.absolute().parent.is_dir():
-        raise ConfigError(f"--json {file}: allowed is a file in a folder that exists.")
+        raise ConfigError(f"{option} {file}: allowed is a file in a folder that exists.")
     if not os.access(path.absolute().parent, os.W_OK):
-        raise ConfigError(f"--json {file}: allowed is a file in a folder that can be written to.")
+        raise ConfigError(f"{option} {file}: allowed is a file in a folder that can be written to.")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
     try:
-        check_place(given.json)
+        check_place("--json", given.json)
         config, weights = _read(given.what)
         results = compare(config, weights, given.episodes, given.slack, given.seed)
     except ConfigError as error:

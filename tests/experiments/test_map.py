@@ -1,0 +1,83 @@
+"""``risfleet map``, and a tiny run with a codebook."""
+
+import json
+
+import pytest
+from conftest import TINY
+
+from env.radio_map import build_radio_map
+from experiments.cli import main
+from experiments.map import gains_db, means
+from server_app.preflight import checked
+
+BEAMS = (*TINY[1:], "env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]")
+
+
+def test_the_map_is_printed_written_and_drawn(tmp_path, capsys):
+    out, file = tmp_path / "map.png", tmp_path / "map.json"
+    assert main(["map", *BEAMS, "--out", str(out), "--json", str(file)]) == 0
+    printed = capsys.readouterr().out
+    assert "4 beams of the codebook" in printed
+    assert "AP's shadow" in printed
+    assert out.read_bytes().startswith(b"\x89PNG")
+    written = json.loads(file.read_text())
+    assert f"{written['4 beams of the codebook']['all_db']:.1f}" in printed
+    assert written["continuous phases, a bound"]["shadow_db"] > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["env.ris.action=beams"], "env.ris.action=beams: allowed is one of phases, codebook"),
+        (["env.ris.action=codebook"], "env.ris.response=coherent: allowed is far or near"),
+        (["env.ris.sort=1"], "env.ris.sort"),
+        (["--out", "map.pdf"], "ends in .png"),
+        (["--json", "nowhere/at/all.json"], "a folder that exists"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(arguments, says, capsys):
+    assert main(["map", *arguments]) == 2
+    printed = capsys.readouterr()
+    assert says in printed.err
+    assert printed.out == ""
+    assert len(printed.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("response", ["coherent", "far", "near", "rayleigh"])
+@pytest.mark.parametrize("side", [0, 3])
+def test_no_setting_gains_more_than_the_bound(response, side):
+    beams = side and response in ("far", "near")
+    config = checked(
+        [
+            *TINY,
+            f"env.ris.side={side}",
+            f"env.ris.response={response}",
+            *(["env.ris.action=codebook", "env.ris.sectors=[2,3]"] if beams else []),
+        ]
+    ).env
+    gains = gains_db(config, build_radio_map(config))
+    bound = gains.pop("continuous phases, a bound", None)
+    assert (bound is None) == (response == "rayleigh")
+    assert ("6 beams of the codebook" in gains) == bool(beams)
+    for gain in gains.values():
+        assert gain.shape == (48,)
+        assert bound is None or (gain <= bound + 1e-9).all()
+        assert side or abs(gain).max() == 0
+
+
+def test_where_the_ap_sees_every_cell_there_is_no_shadow(capsys):
+    open_floor = [*TINY, "env.walls.segments=[]"]
+    config = checked(open_floor).env
+    tables = build_radio_map(config)
+    found = means(gains_db(config, tables), tables.direct_los)
+    assert all(row["shadow_db"] is None for row in found.values())
+    assert main(["map", *open_floor]) == 0
+    assert "-" in capsys.readouterr().out
+
+
+def test_a_run_with_a_codebook_trains_an_access_point_with_an_output_for_each_beam(tmp_path):
+    folder = tmp_path / "run"
+    assert main(["train", "runtime=local", *BEAMS, f"run.dir={folder}"]) == 0
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["digest"]["ap"]
+    assert main(["evaluate", str(folder), "--episodes", "2"]) == 0
