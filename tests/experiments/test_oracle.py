@@ -94,6 +94,13 @@ def test_a_run_is_compared(
     assert written["measures"]["policy"]["ee"] == json.loads(frozen.read_text())["eps = 0"]["ee"]
 
 
+def test_it_shows_its_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["oracle", "--help"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith("usage: risfleet oracle ")
+
+
 def test_overrides_are_compared_on_the_starts_of_their_seed(tmp_path: Path) -> None:
     found: list[dict[str, Any]] = []
     for number, seed in enumerate(("5", "5", "6")):
