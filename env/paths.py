@@ -26,7 +26,10 @@ def cells_along(after: NDArray[np.int64], start: int, path: Path) -> NDArray[np.
 def free_moves(
     after: NDArray[np.int64], slots: int, others: Sequence[NDArray[np.int64]]
 ) -> NDArray[np.bool_]:
-    """Which moves do not meet robots that drive: no cell that one holds then, and no swap.
+    """Which moves neither enter a cell that others hold or enter, nor hold one that they enter.
+
+    So no move is blocked in ``World.step``, whoever moves first; a row that moves up, which that
+    allows in one order of the robots, is left out.
 
     Args:
         after: the cell that each move leads to, shape (cells, 4).
@@ -41,9 +44,8 @@ def free_moves(
     for path in others:
         for slot in range(min(slots, len(path) - 1)):
             here, there = path[slot], path[slot + 1]
-            if slot + 1 < len(path) - 1:
-                free[slot][after == there] = False
-            free[slot, there] &= after[there] != here
+            free[slot][(after == here) | (after == there)] = False
+            free[slot, there] = False
     return free
 
 

@@ -195,6 +195,8 @@ class _Planner:
     def _moves(self, robot: int, slots: int) -> NDArray[np.bool_]:
         """Which moves the robot may make in each slot, shape (slots, cells, 4)."""
         others = [path for other, path in enumerate(self.cells) if other != robot]
+        later = range(max(len(self.cells), robot + 1), self.world.robots)
+        others += [np.repeat(self.start[other], 2) for other in later]
         return paths.free_moves(self.after, slots, others if self.blocks else [])
 
     def _soonest(self, robot: int) -> int:

@@ -161,27 +161,19 @@ def test_free_moves_meet_nobody() -> None:
     east, west, north = 2, 3, 0
     assert not free[0, 6, west]  # a swap
     assert not free[0, 2, north]  # into the cell that it takes
-    assert free[0, 1, north]  # into the cell that it leaves
-    assert free[1, 3, north]  # one that has arrived holds no cell
-    assert free[2].all()
+    assert not free[0, 1, north]  # into the cell that it leaves, if it moves later
+    assert not free[0, 6].any()  # holding the cell that it takes
+    assert free[0, 3, north]
+    assert free[2].all()  # one that has arrived holds no cell
     assert free[0, 8, east]
 
 
-def test_robots_that_block_each_other_are_planned_apart() -> None:
-    world = floor_of(6.0, 3)
-    object.__setattr__(world.config, "collisions", "block")
-    for start in ([0, 24, 12], [5, 9, 20], [1, 8, 4]):
-        plan = best_trajectory(world, np.array(start), 4)
-        cells, driving = np.array(start), np.ones(3, dtype=bool)
-        for direction in plan.direction:
-            after = np.where(driving, world.next_cell[cells, direction], cells)
-            still = driving & (after != world.destinations)
-            for a, b in ((0, 1), (0, 2), (1, 2)):
-                assert not (still[a] and still[b] and after[a] == after[b])
-                swap = after[a] == cells[b] and after[b] == cells[a]
-                assert not (driving[a] and driving[b] and swap)
-            cells, driving = after, still
-        assert not driving.any()
+@pytest.mark.parametrize("start", [[0, 24, 12], [5, 9, 20], [1, 8, 4], [12, 11, 10], [6, 7, 2]])
+def test_no_planned_move_is_blocked_where_robots_block_each_other(start: list[int]) -> None:
+    world = floor_of(6.0, 3, collisions="block")
+    plan = best_trajectory(world, np.array(start), 4)
+    measures = replayed(world, np.array(start), plan).measures()
+    assert measures.ee[0] == pytest.approx(plan.value, abs=1e-9)
 
 
 def test_fading_of_each_slot_is_refused() -> None:
