@@ -2,7 +2,6 @@
 
 import re
 import warnings
-from pathlib import Path
 
 import pytest
 
@@ -25,7 +24,7 @@ def test_the_page_has_a_snippet_for_each_way_in():
     assert len(list(named_snippets())) >= 6
 
 
-@pytest.mark.parametrize("code", named_snippets())
+@pytest.mark.parametrize("code", list(named_snippets()))
 def test_a_snippet_runs(code):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -44,4 +43,4 @@ def test_the_files_that_the_page_names_exist():
 
 
 def test_the_readme_leads_to_the_page():
-    assert "docs/environment.md" in (Path(FOLDER.parent) / "README.md").read_text()
+    assert "docs/environment.md" in (FOLDER.parent / "README.md").read_text()

@@ -2,8 +2,10 @@
 
 import importlib.util
 import math
+import random
 import sys
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,9 +16,12 @@ EXAMPLES = FOLDER.parent / "docs" / "examples"
 
 @pytest.fixture(autouse=True)
 def _global_generator_as_found():
-    """The libraries seed torch's global generator; what follows is not to notice."""
+    """Stable-Baselines3 seeds all global generators; what follows is not to notice."""
+    python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002  # SB3's seed
     with torch.random.fork_rng():
         yield
+    random.setstate(python)
+    np.random.set_state(legacy)  # noqa: NPY002  # SB3's seed
 
 
 def example(name):
@@ -48,7 +53,9 @@ def test_stable_baselines3_trains_on_the_single_robot():
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
 def test_torchrl_trains_robots_and_access_point():
     fleet = example("torchrl_fleet")
+    state = torch.get_rng_state()
     untrained, *_ = fleet.train(0, seed=0, episodes=1)
+    assert (torch.get_rng_state() == state).all()
     trained, before, after = fleet.train(200, seed=0, episodes=1)
     assert [learner.group for learner in trained] == ["robots", "access_point"]
     for old, new in zip(untrained, trained, strict=True):

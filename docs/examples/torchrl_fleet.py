@@ -115,7 +115,12 @@ def train(
     steps: int, robots: int = 2, seed: int = 0, episodes: int = 50
 ) -> tuple[list[Learner], Score, Score]:
     """Trains robots and access point; returns both with the scores before and after."""
-    torch.manual_seed(seed)
+    with torch.random.fork_rng():  # TorchRL draws from torch's generator: left as it was found
+        torch.manual_seed(seed)
+        return _train(steps, robots, seed, episodes)
+
+
+def _train(steps: int, robots: int, seed: int, episodes: int) -> tuple[list[Learner], Score, Score]:
     fleet = WithoutInfos(env.RISFleetParallelEnv({"robots": robots}))
     groups = {"robots": fleet.possible_agents[:-1], "access_point": [AP]}
     view = PettingZooWrapper(fleet, group_map=groups, use_mask=True, done_on_any=False, seed=seed)
