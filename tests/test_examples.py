@@ -92,6 +92,6 @@ def test_torchrl_learns_nothing_from_robots_that_have_arrived():
 
 @pytest.mark.slow
 def test_stable_baselines3_learns_to_arrive():
-    _, before, after = example("sb3_dqn").train(30_000, seed=0, episodes=50)
+    _, before, after = example("sb3_dqn").train(12_000, seed=0, episodes=50)
     assert after.success >= before.success + 0.5
     assert after.reward > before.reward + 50
