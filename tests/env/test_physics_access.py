@@ -125,6 +125,43 @@ def test_rates_of_eq_3_by_hand():
     assert access.downlink_rates(gain, power, 0.5) == pytest.approx(expected)
 
 
+@st.composite
+def canonical(draw):
+    """Gains in rank order and the canonical powers P/2^K, ..., P/2, for one slot."""
+    robots = draw(st.integers(1, 8))
+    gain = sorted(draw(st.lists(gains, min_size=robots, max_size=robots)), reverse=True)
+    power = draw(st.floats(1e-4, 10.0)) / 2.0 ** np.arange(robots, 0, -1)
+    return np.array(gain), power
+
+
+@given(canonical())
+@settings(deadline=None, max_examples=300)
+def test_canonical_powers_give_the_closed_form_of_high_snr(case):
+    """Without noise, rank k >= 2 has log2(1 + p_k / S_k) with S_k = sum_{j<k} p_j.
+
+    Noise turns S_k into S_k + sigma^2 / g_k, so that the closed form is too high by
+    log2(1 + e_k) - log2(1 + e_k S_k / (S_k + p_k)) where e_k = sigma^2 / (g_k S_k) is one over
+    the SNR of the interference. That is positive, and at most e_k p_k / (S_k + p_k) / ln 2.
+    """
+    gain, power = case
+    rates = access.downlink_rates(gain, power, NOISE_W)
+    stronger = np.cumsum(power)[:-1]
+    closed = np.log2(1 + np.append(gain[0] * power[0] / NOISE_W, power[1:] / stronger))
+    inverse_snr = NOISE_W / (gain[1:] * stronger)
+    bound = inverse_snr * power[1:] / (stronger + power[1:]) / math.log(2)
+    assert rates[0] == pytest.approx(closed[0], rel=1e-9, abs=1e-12)
+    short = closed[1:] - rates[1:]
+    assert (short >= -1e-9).all()
+    assert (short <= bound + 1e-9).all()
+    assert -1e-9 <= closed.sum() - rates.sum() <= bound.sum() + 1e-9
+
+
+def test_three_canonical_powers_at_high_snr_by_hand():
+    """P/8, P/4 and P/2 without noise: log2(1 + P g_1 / 8 sigma^2) + log2 3 + log2(7 / 3)."""
+    rates = access.downlink_rates(np.array([3.0, 2.0, 1.0]), np.array([1.0, 2.0, 4.0]), 1e-9)
+    assert rates.sum() == pytest.approx(math.log2(1 + 3e9) + math.log2(7), abs=1e-8)
+
+
 def test_a_signal_that_stays_interferes_at_every_stronger_robot_by_hand():
     gain, power = np.array([4.0, 2.0, 1.0]), np.array([0.5, 1.0, 2.0])
     rates = access.downlink_rates(gain, power, 0.5, np.array([False, False, True]))

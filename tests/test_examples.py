@@ -1,0 +1,97 @@
+"""The examples in docs/examples train what they say."""
+
+import importlib.util
+import math
+import random
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from conf.compose import FOLDER
+
+EXAMPLES = FOLDER.parent / "docs" / "examples"
+
+
+@pytest.fixture(autouse=True)
+def _global_generator_as_found():
+    """Stable-Baselines3 seeds all global generators; what follows is not to notice."""
+    python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002  # SB3's seed
+    with torch.random.fork_rng():
+        yield
+    random.setstate(python)
+    np.random.set_state(legacy)  # noqa: NPY002  # SB3's seed
+
+
+def example(name):
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def weights(network):
+    return torch.cat([values.detach().flatten() for values in network.parameters()])
+
+
+def finite(*scores):
+    return all(math.isfinite(score.reward) and 0 <= score.success <= 1 for score in scores)
+
+
+def test_stable_baselines3_trains_on_the_single_robot():
+    sb3 = example("sb3_dqn")
+    start = weights(sb3.learner(0, 300).q_net)
+    model, before, after = sb3.train(300, seed=0, episodes=2)
+    assert model.num_timesteps == 300
+    assert torch.isfinite(weights(model.q_net)).all()
+    assert (weights(model.q_net) != start).any()
+    assert finite(before, after)
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
+def test_torchrl_trains_robots_and_access_point():
+    fleet = example("torchrl_fleet")
+    state = torch.get_rng_state()
+    untrained, *_ = fleet.train(0, seed=0, episodes=1)
+    assert (torch.get_rng_state() == state).all()
+    trained, before, after = fleet.train(200, seed=0, episodes=1)
+    assert [learner.group for learner in trained] == ["robots", "access_point"]
+    for old, new in zip(untrained, trained, strict=True):
+        assert torch.isfinite(weights(new.actor)).all()
+        assert (weights(new.actor) != weights(old.actor)).any()
+    assert len(trained[0].replay) == 2 * len(trained[1].replay) == 400
+    assert finite(before, after)
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
+def test_torchrl_learns_nothing_from_robots_that_have_arrived():
+    fleet = example("torchrl_fleet")
+    view = fleet.env.RISFleetParallelEnv({"robots": 2})
+    goals = view.world.floor.centres()[view.world.destinations]
+    starts = (goals - [[0.5, 0.0], [1.5, 0.0]]).tolist()
+    groups = {"robots": view.possible_agents[:-1], "access_point": [fleet.AP]}
+    wrapped = fleet.PettingZooWrapper(
+        fleet.WithoutInfos(view), group_map=groups, use_mask=True, done_on_any=False
+    )
+    slot = wrapped.reset(options={"starts_m": starts})
+    learner, kept = fleet.Learner(wrapped, "robots", 10), []
+    for _ in range(3):
+        slot["robots", "action"] = torch.full((2,), 12)  # east, at the highest power
+        slot["access_point", "action"] = torch.zeros(1, dtype=torch.int64)
+        slot, following = wrapped.step_and_maybe_reset(slot)
+        learner.remember(slot)
+        kept.append(len(learner.replay))
+        slot = following
+    assert kept == [2, 3, 4]
+    memory = learner.replay[:]
+    assert memory["next", "terminated"].flatten().tolist() == [True, False, False, True]
+    assert (memory["next", "reward"].flatten()[[0, 3]] > 4).all()  # the goal's 100, scaled
+
+
+@pytest.mark.slow
+def test_stable_baselines3_learns_to_arrive():
+    _, before, after = example("sb3_dqn").train(12_000, seed=0, episodes=50)
+    assert after.success >= before.success + 0.5
+    assert after.reward > before.reward + 50
