@@ -3,19 +3,18 @@
 import json
 
 import pytest
-from conftest import TINY
 
 from env.radio_map import build_radio_map
 from experiments.cli import main
 from experiments.map import gains_db, means
 from server_app.preflight import checked
 
-BEAMS = (*TINY[1:], "env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]")
+BEAMS = ("env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]")
 
 
-def test_the_map_is_printed_written_and_drawn(tmp_path, capsys):
+def test_the_map_is_printed_written_and_drawn(tiny_overrides, tmp_path, capsys):
     out, file = tmp_path / "map.png", tmp_path / "map.json"
-    assert main(["map", *BEAMS, "--out", str(out), "--json", str(file)]) == 0
+    assert main(["map", *tiny_overrides, *BEAMS, "--out", str(out), "--json", str(file)]) == 0
     printed = capsys.readouterr().out
     assert "4 beams of the codebook" in printed
     assert "AP's shadow" in printed
@@ -45,11 +44,11 @@ def test_what_is_wrong_is_said_in_one_sentence(arguments, says, capsys):
 
 @pytest.mark.parametrize("response", ["coherent", "far", "near", "rayleigh"])
 @pytest.mark.parametrize("side", [0, 3])
-def test_no_setting_gains_more_than_the_bound(response, side):
+def test_no_setting_gains_more_than_the_bound(tiny_overrides, response, side):
     beams = side and response in ("far", "near")
     config = checked(
         [
-            *TINY,
+            *tiny_overrides,
             f"env.ris.side={side}",
             f"env.ris.response={response}",
             *(["env.ris.action=codebook", "env.ris.sectors=[2,3]"] if beams else []),
@@ -65,8 +64,8 @@ def test_no_setting_gains_more_than_the_bound(response, side):
         assert side or abs(gain).max() == 0
 
 
-def test_where_the_ap_sees_every_cell_there_is_no_shadow(capsys):
-    open_floor = [*TINY, "env.walls.segments=[]"]
+def test_where_the_ap_sees_every_cell_there_is_no_shadow(tiny_overrides, capsys):
+    open_floor = [*tiny_overrides, "env.walls.segments=[]"]
     config = checked(open_floor).env
     tables = build_radio_map(config)
     found = means(gains_db(config, tables), tables.direct_los)
@@ -75,9 +74,11 @@ def test_where_the_ap_sees_every_cell_there_is_no_shadow(capsys):
     assert "-" in capsys.readouterr().out
 
 
-def test_a_run_with_a_codebook_trains_an_access_point_with_an_output_for_each_beam(tmp_path):
+def test_a_run_with_a_codebook_trains_an_access_point_with_an_output_for_each_beam(
+    tiny_overrides, tmp_path
+):
     folder = tmp_path / "run"
-    assert main(["train", "runtime=local", *BEAMS, f"run.dir={folder}"]) == 0
+    assert main(["train", *tiny_overrides, *BEAMS, f"run.dir={folder}"]) == 0
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["digest"]["ap"]
     assert main(["evaluate", str(folder), "--episodes", "2"]) == 0
