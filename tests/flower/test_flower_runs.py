@@ -20,7 +20,8 @@ from typing import Any
 import pytest
 from safetensors.numpy import load_file
 
-from agent import digest
+from agent import checkpoints, digest
+from conf.places import server_folder
 from experiments.cli import main
 from experiments.flower import Components, superlink
 from experiments.flower.environment import child_environment, free_port
@@ -159,7 +160,7 @@ def _variable(process: Process, name: str) -> str:
 
 @pytest.mark.flower
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
-def test_ctrl_c_ends_a_simulation_with_what_it_has_learned(
+def test_ctrl_c_ends_a_simulation_with_what_it_has_learned_and_a_resume_goes_on(
     tmp_path: Path, tiny_overrides: Sequence[str]
 ) -> None:
     folder = tmp_path / "run"
@@ -193,6 +194,42 @@ def test_ctrl_c_ends_a_simulation_with_what_it_has_learned(
             terminate(marker)
         process.kill()
         process.communicate()
+    later = f"train.max_ticks={found['ticks'] + 30}"
+    assert main(["train", f"resume={folder}", later]) == 0
+    whole = with_changes(tiny_overrides, *changes[1:2], later, f"run.dir={tmp_path / 'whole'}")
+    assert main(["train", *whole]) == 0
+    assert summary(folder)["digest"] == summary(tmp_path / "whole")["digest"]
+
+
+@pytest.mark.flower
+@pytest.mark.slow
+def test_a_killed_simulation_leaves_no_process_and_is_resumed_to_the_same_bits(
+    tmp_path: Path, tiny_overrides: Sequence[str]
+) -> None:
+    folder = tmp_path / "run"
+    length = ("train.max_ticks=3000", "train.episodes=100000000", "state.every=3")
+    given = with_changes(tiny_overrides, *length, "runtime=simulation", f"run.dir={folder}")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", "train", *given],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    marker = ""
+    try:
+        wait_until(lambda: len(checkpoints(server_folder(folder / "state"))) == 2, process)
+        marker = marker_below(process)
+        process.kill()
+        process.wait()
+        wait_until(lambda: members(marker) == set())
+    finally:
+        if marker:
+            terminate(marker)
+    assert not (folder / "summary.json").exists()
+    assert main(["train", f"resume={folder}"]) == 0
+    whole = with_changes(tiny_overrides, *length, f"run.dir={tmp_path / 'whole'}")
+    assert main(["train", *whole]) == 0
+    assert summary(folder)["digest"] == summary(tmp_path / "whole")["digest"]
 
 
 # --- Flower's own command -------------------------------------------------------------------------
