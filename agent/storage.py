@@ -22,7 +22,8 @@ from safetensors.numpy import save
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 Arrays = dict[str, NDArray[np.generic]]
 
-KEPT = 2
+KEPT = 3
+"""One more than two: a side may be a write behind the others when all of them die."""
 _NAME = re.compile(r"checkpoint-(\d{12})\.safetensors")
 
 

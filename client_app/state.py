@@ -57,6 +57,8 @@ class Keeper:
         self._writer.wait()
         place = robot_folder if due else round_folder
         save_state(self._group, self._state, window, place, self._writer.save)
+        if last:
+            self._writer.wait()
 
     def close(self) -> None:
         """Waits until all is on disk.

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 
+from env.plugins import PluginError
+
 USAGE = """\
 usage: risfleet COMMAND ...
 
@@ -76,6 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return command(rest)
     except KeyboardInterrupt:
         return 130
+    except PluginError as error:
+        print(f"risfleet: {error}", file=sys.stderr)
+        return 2
 
 
 def _train(arguments: Sequence[str]) -> int:

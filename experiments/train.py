@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
+import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,6 +25,7 @@ from rich.console import Console
 from conf import Config, ConfigError, from_composed, register_schema, to_yaml
 from conf.compose import FOLDER, check_overrides
 from env.link import LinkError
+from env.plugins import PluginError
 from experiments import local, simulation
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
@@ -31,6 +35,8 @@ from server_app.preflight import check, check_address, checked
 from server_app.session import STOP_FILE
 
 INTERRUPTED = 130
+ERRORS = (ConfigError, PluginError, FlowerError, LinkError, OSError)
+"""What ends a run with a sentence: a mistake, or a machine, disk or network that fails."""
 
 Runtime = Callable[[Config, Path, Checkpoint | None], dict[str, Any]]
 RUNTIMES: dict[str, Runtime] = {"local": local.train, "simulation": simulation.train}
@@ -44,6 +50,8 @@ def main(arguments: Sequence[str]) -> int:
     try:
         if unknown:
             raise ConfigError(f"{unknown[0]} is no option: there are -m and --cfg.")
+        if "--cfg" in flags and (len(flags) > 1 or resume.asked(overrides)):
+            raise ConfigError("--cfg prints one configuration: allowed without -m and resume=RUN.")
         if "--cfg" in flags:
             print(to_yaml(checked(overrides)), end="")
             return 0
@@ -58,9 +66,9 @@ def main(arguments: Sequence[str]) -> int:
         config = checked(overrides)
         check_address(config)
         return train(config, new_folder(config))
-    except (ConfigError, FlowerError, LinkError) as error:
+    except ERRORS as error:
         print(f"risfleet: {error}", file=sys.stderr)
-        return 2 if isinstance(error, ConfigError) else 1
+        return 2 if isinstance(error, ConfigError | PluginError) else 1
 
 
 def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> int:
@@ -83,10 +91,13 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
         allowed = f"a folder that can be made ({error.strerror})"
         raise ConfigError.of([("run.dir", folder, allowed)]) from error
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
-    if resumed is not None:
-        console.print(f"going on from window {resumed.window}", highlight=False)
-    with StopOnInterrupt(folder, console) as stop, Display(folder, console):
-        summary = RUNTIMES[config.runtime.name](config, folder, resumed)
+    with _alone(folder):
+        if resumed is not None:
+            console.print(f"going on from window {resumed.window}", highlight=False)
+            for stale in ("progress.json", "summary.json"):
+                (folder / stale).unlink(missing_ok=True)
+        with StopOnInterrupt(folder, console) as stop, Display(folder, console):
+            summary = RUNTIMES[config.runtime.name](config, folder, resumed)
     show_summary(console, summary, folder)
     if stop.asked:
         console.print("Stopped early by Ctrl-C: what was learned until then is in the run folder.")
@@ -113,6 +124,25 @@ def new_folder(config: Config) -> Path:
 def _check_unused(folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Holds a run's folder, so that no second process goes on in it.
+
+    Raises:
+        ConfigError: another process holds it.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            say = "a folder in which no run is going on"
+            raise ConfigError.of([("run.dir", folder, say)]) from error
+        yield
+    finally:
+        os.close(handle)
 
 
 class StopOnInterrupt:
@@ -198,7 +228,7 @@ def _job(node: DictConfig) -> int:
     config = check(from_composed(node, HydraConfig.get().overrides.task))
     try:
         status = train(config, Path(HydraConfig.get().runtime.output_dir))
-    except (ConfigError, FlowerError, LinkError) as error:
+    except ERRORS as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 1
     if status == INTERRUPTED:

@@ -92,6 +92,7 @@ class Coordinator:
         self._observer = observer
         self._stop, self._keep = stop, keep
         self._model: NDArray[np.float32] | None = None
+        self._shared: NDArray[np.float32] = np.zeros((0, 2, 0), np.float32)
         self.progress = Progress()
         self.stopped = self._started = False
         self.waited_s = 0.0
@@ -115,22 +116,21 @@ class Coordinator:
         if resumed is not None:
             self._restore(resumed)
             model = initial if self._model is None else self._model
+            final = self._is_over()  # it died after its last window
         self._state = self._world.global_observation()
         while not final:
             self.progress.window += 1
             window = self.progress.window
             final = self._play_window(window)
-            uploads = self._fleet.upload(window)
-            if self._aggregator is None:
-                shared = uploads
-            else:
-                model = self._aggregator.aggregate(window, model, uploads)
-                self._model, shared = model, model[None]
+            self._shared = self._fleet.upload(window)
+            if self._aggregator is not None:
+                model = self._aggregator.aggregate(window, model, self._shared)
+                self._model, self._shared = model, model[None]
                 if not final:
                     self._fleet.download(window, model)
-            self._observer.on_window(self.progress, shared, self._ap.weights())
+            self._observer.on_window(self.progress, self._shared, self._ap.weights())
             self._keep(final)
-        return np.array(np.broadcast_to(shared, (self._world.robots, *model.shape)))
+        return np.array(np.broadcast_to(self._shared, (self._world.robots, *model.shape)))
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All of the server's side that the run needs to go on from a window boundary."""
@@ -138,6 +138,8 @@ class Coordinator:
         run = {"progress": np.array(counters), "stream": generator_state(self._world.generator)}
         if self._model is not None:
             run["model"] = self._model
+        else:
+            run["robots"] = self._shared
         return flat(
             {
                 "run": run,
@@ -153,6 +155,7 @@ class Coordinator:
         run = part(state, "run")
         self.progress = Progress(*(int(count) for count in run["progress"]))
         self._model = run.get("model")
+        self._shared = run["robots"] if self._model is None else self._model[None]
         restore_generator(self._world.generator, run["stream"])
         self._world.restore(part(state, "world"))
         self._tally.restore(part(state, "tally"))

@@ -147,6 +147,7 @@ class Recorder:
         self.began = self.started = time.perf_counter()
         self._written = 0.0
         self._ended: float | None = None
+        self.running = False
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / "config.yaml", to_yaml(config))
         marks = resumed or {"episodes": 0, "evaluations": 0, "training_s": 0.0, "evaluation_s": 0.0}
@@ -163,7 +164,7 @@ class Recorder:
 
     def on_start(self) -> None:
         """Start-up is over."""
-        self.started = time.perf_counter() - self._trained_s
+        self.started, self.running = time.perf_counter() - self._trained_s, True
 
     def marks(self) -> dict[str, Any]:
         """How far the files have been written and the clocks have run, once all is on disk."""
@@ -306,6 +307,16 @@ class _CsvLog:
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
+
+
+def check_files(folder: Path, marks: Mapping[str, Any]) -> None:
+    """Finds before a run goes on that its files hold what its checkpoint says.
+
+    Raises:
+        CheckpointError: a file is missing or shorter.
+    """
+    _read_rows(folder / "metrics.csv", marks["episodes"])
+    _read_rows(folder / "evaluations.csv", 2 * marks["evaluations"])
 
 
 def _read_rows(path: Path, count: int) -> list[dict[str, float]]:

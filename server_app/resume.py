@@ -11,6 +11,7 @@ from conf import Config, ConfigError, compose, fingerprint, overridden
 from conf.places import STATE
 from server_app.checkpoint import Checkpoint, latest
 from server_app.preflight import check, checked_yaml
+from server_app.recorder import check_files
 
 PREFIX = "resume="
 MAY_CHANGE = ("train.episodes", "train.max_ticks")
@@ -47,6 +48,7 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
     config = _config(folder, rest)
     try:
         checkpoint = latest(folder / STATE, config.env.robots)
+        check_files(folder, checkpoint.meta["marks"])
     except CheckpointError as error:
         raise ConfigError(f"resume={folder}: {error}.") from error
     if checkpoint.meta["fingerprint"] != fingerprint(config.env):
@@ -79,6 +81,8 @@ def _config(folder: Path, overrides: Sequence[str]) -> Config:
 def _check_unfinished(folder: Path, config: Config, checkpoint: Checkpoint) -> None:
     tick, _, episodes = (int(count) for count in checkpoint.arrays["run/progress"])
     most = config.train.max_ticks
+    if not all((folder / name).exists() for name in ("summary.json", "weights.safetensors")):
+        return  # it died after its last window: the rest is still to be written
     if episodes >= config.train.episodes or (most is not None and tick >= most):
         raise ConfigError(
             f"{PREFIX}{folder}: the run has ended, with {episodes} episodes and {tick} ticks:"

@@ -6,6 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -147,13 +148,16 @@ class Session:
         try:
             robots = run.run(self.initial_weights(), arrays)
             self._writer.wait()
+            if not self.recorder.running:
+                self.recorder.on_start()
             trained_s = self.recorder.end_training()
             self.recorder.report("finishing", run.progress)
             summary = self._finish(run, robots, trained_s, shared=aggregator is not None)
             self.recorder.report("done", run.progress)
         except BaseException as error:
-            self.recorder.report("training", run.progress)
-            report_failure(self.folder, error)
+            with suppress(OSError):  # of a full disk: the error that stands is the first
+                self.recorder.report("training", run.progress)
+                report_failure(self.folder, error)
             raise
         finally:
             self.recorder.close()

@@ -37,13 +37,14 @@ def test_agents_go_on_from_disk_to_the_same_bits(tmp_path):
     assert digest(resumed.weights()) == digest(agents.weights())
 
 
-def test_the_last_two_checkpoints_are_kept(tmp_path):
-    for step in (1, 20, 300):
+def test_the_last_three_checkpoints_are_kept(tmp_path):
+    for step in (1, 20, 300, 4000):
         save_checkpoint(tmp_path, step, ARRAYS, {})
-    assert checkpoints(tmp_path) == [20, 300]
+    assert checkpoints(tmp_path) == [20, 300, 4000]
     assert sorted(os.listdir(tmp_path)) == [
         "checkpoint-000000000020.safetensors",
         "checkpoint-000000000300.safetensors",
+        "checkpoint-000000004000.safetensors",
     ]
 
 

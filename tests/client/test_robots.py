@@ -172,14 +172,14 @@ def test_robots_may_be_dealt_anew_between_rounds(
     assert moved.upload().tobytes() == whole.upload()[[2, 0]].tobytes()
 
 
-def test_each_robot_keeps_its_last_two_checkpoints_in_a_folder_of_its_own(
+def test_each_robot_keeps_its_last_three_checkpoints_in_a_folder_of_its_own(
     make_group: Callable[..., RobotGroup], tmp_path: Path
 ) -> None:
     group = make_group((0, 2))
-    for window in (1, 2, 3):
+    for window in (1, 2, 3, 4):
         save_state(group, tmp_path, window)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["robot-00", "robot-02"]
-    assert checkpoints(robot_folder(tmp_path, 2)) == [2, 3]
+    assert checkpoints(robot_folder(tmp_path, 2)) == [2, 3, 4]
 
 
 def test_a_missing_or_damaged_checkpoint_is_an_error_that_names_the_file(

@@ -28,6 +28,9 @@ VARIANTS = [
     {"state": {"destination": "none"}},
     {"channel": {"los_phase": "distance"}},
     {"metric": "qoe", "access": "oma"},
+    {"ris": {"side": 6, "response": "near", "action": "codebook", "sectors": [3, 2]}},
+    {"channel": {"fading": "slot"}},
+    {"collisions": "block", "walls": {"segments": [[0.0, 4.0, 7.0, 4.0]], "block_motion": True}},
 ]
 
 

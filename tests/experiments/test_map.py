@@ -71,7 +71,9 @@ def test_where_the_ap_sees_every_cell_there_is_no_shadow(tiny_overrides, capsys)
     found = means(gains_db(config, tables), tables.direct_los)
     assert all(row["shadow_db"] is None for row in found.values())
     assert main(["map", *open_floor]) == 0
-    assert "-" in capsys.readouterr().out
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    assert len(rows) == len(found)
+    assert all(row.split("│")[3].strip() == "-" for row in rows)
 
 
 def test_a_run_with_a_codebook_trains_an_access_point_with_an_output_for_each_beam(

@@ -264,7 +264,7 @@ def test_state_files_carry_each_robot_from_round_to_round(
     config = on_flower({"federation.windows_per_round": 2, "train.max_ticks": 60})
     play(config, fleet=make_fleet(config, FakeGrid(2)))
     for robot in range(3):
-        assert sorted(robot_windows(Path(str(config.run.dir)) / "state", robot)) == [4, 6]
+        assert sorted(robot_windows(Path(str(config.run.dir)) / "state", robot)) == [2, 4, 6]
 
 
 def test_a_robot_whose_state_is_gone_fails_the_run_by_name(
