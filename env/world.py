@@ -321,7 +321,7 @@ def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> NDAr
         if not len(free):
             raise ValueError(
                 f"no room for {config.robots} destinations that are"
-                f" {tasks.destination_spacing_m} m apart"
+                f" env.tasks.destination_spacing_m={tasks.destination_spacing_m:g} m apart"
             )
         chosen.append(int(generator.choice(free)))
     destinations = np.full(config.robots, chosen)
