@@ -25,11 +25,11 @@ RULES = {
     "client_app": {"client_app", "agent", "env", "conf", "flwr", "numpy"},
     "server_app": {
         "server_app", "agent", "env", "conf", "flwr", "numpy",
-        "matplotlib", "safetensors", "torch.utils.tensorboard",
+        "matplotlib", "safetensors", "torch.utils.tensorboard", "cryptography",
     },
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
-        "gymnasium", "pettingzoo", "hydra", "omegaconf",
+        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography",
     },
 }  # fmt: skip
 

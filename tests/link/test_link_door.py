@@ -2,12 +2,11 @@
 
 import logging
 import socket
-import ssl
 import time
 
 import numpy as np
 import pytest
-from link_helpers import PATIENCE_S, SHAPE, Client, Recorder, drive, token, updates
+from link_helpers import PATIENCE_S, SHAPE, drive, token, updates
 
 from env.link.door import MAX_NEWCOMERS
 from env.link.errors import LinkError, LinkTimeout, Refused, RobotFailed, RobotLost, ServerLost
@@ -231,50 +230,3 @@ def test_closing_twice_is_harmless(link):
     link.server.close()
     with pytest.raises(OSError, match="refused"):
         socket.create_connection(link.server.address)
-
-
-def _contexts(folder):
-    x509 = pytest.importorskip("cryptography.x509")
-    import datetime
-    import ipaddress
-
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
-
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "risfleet")])
-    now = datetime.datetime.now(datetime.UTC)
-    host = x509.IPAddress(ipaddress.ip_address("127.0.0.1"))
-    certificate = (
-        x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(days=1))
-        .not_valid_after(now + datetime.timedelta(days=1))
-        .add_extension(x509.SubjectAlternativeName([host]), False)
-        .sign(key, hashes.SHA256())
-    )
-    pem = certificate.public_bytes(serialization.Encoding.PEM)
-    private = key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
-    )
-    (folder / "link.pem").write_bytes(private + pem)
-    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    server.load_cert_chain(folder / "link.pem")
-    return server, ssl.create_default_context(cadata=pem.decode())
-
-
-def test_the_same_conversation_runs_over_tls(make_link, tmp_path):
-    server_context, client_context = _contexts(tmp_path)
-    link = make_link(server_context=server_context, handshake_s=2.0)
-    link.admit((0,), (1, 2))
-    link.raw().send(b"no TLS at all" * 10)
-    link.raw()
-    clients = [link.client(block, client_context=client_context) for block in link.blocks]
-    link.server.wait_connected(PATIENCE_S)
-    drive(link.server, 3)
-    assert [client.join() for client in clients] == [None, None]
-    stranger = Client(
-        link.server, Recorder((0,)), client_context=ssl.create_default_context(), timeout_s=5
-    )
-    assert isinstance(stranger.join(), ServerLost)
