@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+import ssl
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +14,17 @@ from flwr.app import Array, ArrayRecord, ConfigRecord, Context, Message, MetricR
 from flwr.clientapp import ClientApp
 
 from agent import single_threaded
-from client_app.robots import RobotGroup
-from client_app.state import Keeper, load_state
-from conf import Config, fingerprint, from_yaml
-from conf.places import STATE
+from client_app.state import Keeper, held_robots
+from conf import Config, fingerprint, from_yaml, waits_for_the_lost
+from conf.places import STATE, node_folder
+from conf.run_log import log_lines
 from env.link import serve
+from env.link.tls import client_context
 
+STATE_DIR = "state-dir"
+"""The key of a SuperNode's ``--node-config`` that names the folder of its robots' state."""
+
+log = logging.getLogger(__name__)
 app = ClientApp()
 
 
@@ -31,6 +38,9 @@ class Order:
         tokens: a secret for each of them, for this round.
         address: where the link is.
         window: the windows that have been played before this round.
+        round: the round's number.
+        certificate: of the link's server, PEM; empty without TLS.
+        resumed: whether the run goes on from checkpoints, of which the server wants to know.
     """
 
     config: Config
@@ -38,6 +48,9 @@ class Order:
     tokens: Sequence[str]
     address: tuple[str, int]
     window: int
+    round: int = 1
+    certificate: str = ""
+    resumed: bool = False
 
     @classmethod
     def read(cls, record: ConfigRecord) -> Order:
@@ -48,6 +61,9 @@ class Order:
             tokens=[str(token) for token in record["tokens"]],  # type: ignore[union-attr]
             address=(str(record["host"]), int(record["port"])),  # type: ignore[arg-type]
             window=int(record["window"]),  # type: ignore[arg-type]
+            round=int(record["round"]),  # type: ignore[arg-type]
+            certificate=str(record["certificate"]),
+            resumed=bool(record["resumed"]),
         )
 
 
@@ -57,28 +73,63 @@ def train(message: Message, context: Context) -> Message:
     single_threaded()
     began = time.process_time()
     order = Order.read(message.content.config_records["order"])
-    group = RobotGroup(order.config, order.robots)
-    folder = Path(str(order.config.run.dir)) / STATE
-    if order.window:
-        load_state(group, folder, order.window)
     model = message.content.array_records["arrays"].get("model")
-    if model is not None:
-        group.download(order.window, model.numpy())
-    with closing(Keeper(group, folder, order.config.state.every)) as keeper:
-        serve(
-            order.address,
-            order.robots,
-            order.tokens,
-            keeper,
-            fingerprint=fingerprint(order.config.env),
-            timeout_s=order.config.federation.link.timeout_s,
-            patience_s=order.config.federation.link.patience_s,
-            n_parameters=group.parameters,
+    folder = state_folder(order.config, context.node_config)
+    with (
+        log_lines(order.config.run.id, order.round, order.robots),
+        closing(Keeper(order.config, order.robots, folder, verify=order.resumed)) as keeper,
+    ):
+        keeper.begin(order.window, None if model is None else model.numpy())
+        _serve(order, keeper)
+        content = RecordDict(
+            {
+                "arrays": ArrayRecord({"robots": Array(keeper.upload())}),
+                "metrics": MetricRecord({"cpu_s": time.process_time() - began}),
+            }
         )
-    content = RecordDict(
-        {
-            "arrays": ArrayRecord({"robots": Array(group.upload())}),
-            "metrics": MetricRecord({"cpu_s": time.process_time() - began}),
-        }
-    )
     return Message(content=content, reply_to=message)
+
+
+@app.query()
+def query(message: Message, context: Context) -> Message:
+    """Replies which robots' state this node holds."""
+    order = message.content.config_records["order"]
+    config = from_yaml(str(order["config"]))
+    held = held_robots(state_folder(config, context.node_config), config.env.robots)
+    return Message(RecordDict({"held": ConfigRecord({"robots": held})}), reply_to=message)
+
+
+def state_folder(config: Config, node_config: Mapping[str, object]) -> Path:
+    """Where the robots of a run keep their state on this node.
+
+    Args:
+        config: the run's configuration, with an absolute ``run.dir``.
+        node_config: the SuperNode's; ``state-dir`` in it is the folder of all runs' states.
+            Without it they lie in the run's folder, as it is named on the server.
+    """
+    own = node_config.get(STATE_DIR)
+    if own is None:
+        return Path(str(config.run.dir)) / STATE
+    return node_folder(Path(str(own)), str(config.run.id))
+
+
+def _serve(order: Order, keeper: Keeper) -> None:
+    """Serves the robots on the link until the round ends."""
+    link = order.config.federation.link
+    context: ssl.SSLContext | None = None
+    if order.certificate:
+        context = client_context(order.certificate)
+    log.info("joining %s:%d", *order.address)
+    serve(
+        order.address,
+        order.robots,
+        order.tokens,
+        keeper,
+        fingerprint=fingerprint(order.config.env),
+        timeout_s=link.timeout_s,
+        patience_s=link.patience_s,
+        return_s=order.config.federation.loss_timeout_s if waits_for_the_lost(order.config) else 0,
+        n_parameters=keeper.parameters,
+        client_context=context,
+    )
+    log.info("the round has ended")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,31 +10,40 @@ from numpy.typing import NDArray
 
 from agent import CheckpointError, Writer, load_checkpoint, save_checkpoint
 from client_app.robots import RobotGroup
+from conf import Config
 from conf.places import robot_folder, robot_windows, round_folder
 from env.link import Step, Want
 
 
 class Keeper:
-    """Robots on the link that write their checkpoints before they answer.
+    """Robots on the link that write their checkpoints before they answer, and go back to them.
 
-    A checkpoint of every ``every`` windows is one that the server and all robots write; one at the
-    end of a Flower round carries the robots over to the process that plays the next.
+    A checkpoint of every ``state.every`` windows is one that the server and all robots write; one
+    at the end of a Flower round carries the robots over to the process that plays the next.
 
     Args:
-        group: the robots.
-        state: the folder of checkpoints on this machine.
-        every: windows between checkpoints; None writes those of rounds alone.
+        config: the run's configuration.
+        robots: which robots these are.
+        state: the folder of checkpoints on this machine; None writes none.
+        verify: whether to look into the checkpoints before the server is told of them.
+
+    Attributes:
+        parameters: P, of one network.
     """
 
-    def __init__(self, group: RobotGroup, state: Path, every: int | None) -> None:
-        self._group, self._state, self._every = group, state, every
+    def __init__(
+        self, config: Config, robots: Sequence[int], state: Path | None, *, verify: bool = False
+    ) -> None:
+        self._config, self._state, self._verify = config, state, verify
+        self._group = RobotGroup(config, robots)
+        self.parameters = self._group.parameters
         self._writer = Writer()
 
     def step(self, step: Step) -> NDArray[np.int32] | None:
         """See ``Robots.step``."""
         actions = self._group.step(step)
         if step.want is not Want.ACTIONS:
-            self.save(step.window, step.want is Want.FAREWELL)
+            self._save(step.window, step.want is Want.FAREWELL)
         return actions
 
     def upload(self) -> NDArray[np.float32]:
@@ -45,20 +54,34 @@ class Keeper:
         """See ``Robots.download``."""
         self._group.download(window, weights)
 
-    def save(self, window: int, last: bool) -> None:
-        """Writes the checkpoints of a window, where it is due or the last of a round.
+    def windows(self) -> list[int]:
+        """See ``Robots.windows``."""
+        if self._state is None:
+            return []
+        self._writer.wait()
+        robots = self._group.robots
+        places = [robot_windows(self._state, robot) for robot in robots]
+        common = sorted(set(places[0]).intersection(*places[1:]))
+        if self._verify:
+            common = [w for w in common if all(_is_whole(place[w], w) for place in places)]
+        self._verify = True  # whoever comes back is to be sent to one of them
+        return common
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """See ``Robots.begin``.
 
         Raises:
-            OSError: the ones before could not be written.
+            CheckpointError: the window's checkpoint is missing or damaged.
+            OSError: a checkpoint could not be written before.
         """
-        due = self._every is not None and window % self._every == 0
-        if not due and not last:
-            return
         self._writer.wait()
-        place = robot_folder if due else round_folder
-        save_state(self._group, self._state, window, place, self._writer.save)
-        if last:
-            self._writer.wait()
+        self._group = RobotGroup(self._config, self._group.robots)
+        if window:
+            if self._state is None:
+                raise CheckpointError(f"no checkpoint {window} was kept: state.every is null")
+            load_state(self._group, self._state, window)
+        if model is not None:
+            self._group.download(window, model)
 
     def close(self) -> None:
         """Waits until all is on disk.
@@ -67,6 +90,40 @@ class Keeper:
             OSError: it could not be written.
         """
         self._writer.close()
+
+    def _save(self, window: int, last: bool) -> None:
+        """Writes the checkpoints of a window, where it is due or the last of a round.
+
+        Raises:
+            OSError: the ones before could not be written.
+        """
+        every = self._config.state.every
+        due = every is not None and window % every == 0
+        if self._state is None or not (due or last):
+            return
+        self._writer.wait()
+        place = robot_folder if due else round_folder
+        save_state(self._group, self._state, window, place, self._writer.save)
+        if last:
+            self._writer.wait()
+
+
+def _is_whole(folder: Path, window: int) -> bool:
+    try:
+        load_checkpoint(folder, window)
+    except CheckpointError:
+        return False
+    return True
+
+
+def held_robots(state: Path, robots: int) -> list[int]:
+    """The robots, of K, of which there is any checkpoint.
+
+    Args:
+        state: the folder of checkpoints on this machine.
+        robots: K.
+    """
+    return [robot for robot in range(robots) if robot_windows(state, robot)]
 
 
 def save_state(

@@ -12,7 +12,13 @@ from conf.compose import (
 )
 from conf.fingerprint import fingerprint, version
 from conf.networks import ap_network, robot_network
-from conf.schema import Config, StrategyConfig, flower_clients, windows_per_round
+from conf.schema import (
+    Config,
+    StrategyConfig,
+    flower_clients,
+    waits_for_the_lost,
+    windows_per_round,
+)
 
 __all__ = [
     "Config",
@@ -30,5 +36,6 @@ __all__ = [
     "robot_network",
     "to_yaml",
     "version",
+    "waits_for_the_lost",
     "windows_per_round",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,12 @@ from env.config_checks import problems as env_problems
 from env.seeding import Stream, stream
 from env.world import draw_destinations
 
-RUNTIMES = ("local", "simulation")
+RUNTIMES = ("local", "simulation", "deployment")
+ON_LOSS = ("wait", "abort")
+
+
+RUN_ID = re.compile(r"[0-9a-f]{16}")
+"""Robots make a folder of this name."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,7 @@ RANGES = {
     "train.max_ticks": Range(1, null=True),
     "federation.every": Range(1, 1_000_000),
     "federation.windows_per_round": Range(1, null=True),
+    "federation.loss_timeout_s": SECONDS,
     "federation.link.port": Range(0, 65_535),
     "federation.link.timeout_s": SECONDS,
     "federation.link.patience_s": SECONDS,
@@ -66,15 +73,37 @@ def _run_problems(config: Config) -> list[Problem]:
     found: list[Problem] = []
     if config.runtime.name not in RUNTIMES:
         found.append(("runtime.name", config.runtime.name, f"one of {', '.join(RUNTIMES)}"))
+    if config.federation.on_loss not in ON_LOSS:
+        found.append(("federation.on_loss", config.federation.on_loss, " or ".join(ON_LOSS)))
     for key, allowed in RANGES.items():
         value: Any = config
         for name in key.split("."):
             value = getattr(value, name)
         if not allowed.holds(value):
             found.append((key, value, str(allowed)))
+    found += _deployment_problems(config)
     if clients is not None and not 1 <= clients <= robots:
         say = f"a number from 1 to env.robots={robots}, or null"
         found.append(("federation.clients", clients, say))
+    return found
+
+
+def _deployment_problems(config: Config) -> list[Problem]:
+    """Keys that mean something in a deployment alone."""
+    runtime = config.runtime
+    found: list[Problem] = []
+    if runtime.name != "deployment":
+        say = "{} with runtime={}: only deployment reads it"
+        if runtime.connection is not None:
+            allowed = say.format("null", runtime.name)
+            found.append(("runtime.connection", runtime.connection, allowed))
+        if runtime.secure:
+            found.append(("runtime.secure", True, say.format("false", runtime.name)))
+    elif runtime.secure and runtime.connection is not None:
+        say = "false with runtime.connection: the federation there is as secure as it was started"
+        found.append(("runtime.secure", True, say))
+    if config.run.id is not None and not RUN_ID.fullmatch(config.run.id):
+        found.append(("run.id", config.run.id, "null, or 16 hexadecimal digits"))
     return found
 
 

@@ -15,6 +15,11 @@ def server_folder(state: Path) -> Path:
     return state / "server"
 
 
+def node_folder(states: Path, run: str) -> Path:
+    """The checkpoints of one run on a node that keeps those of all its runs in one folder."""
+    return states / run
+
+
 def robot_folder(state: Path, robot: int) -> Path:
     """One robot's checkpoints, written when the server writes its own."""
     return state / f"robot-{robot:02d}"

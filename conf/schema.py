@@ -23,6 +23,8 @@ class RuntimeConfig:
 
     name: str = "local"
     start_timeout_s: float = 180.0  # until every Flower client has joined
+    connection: str | None = None  # deployment: a SuperLink that Flower's configuration names
+    secure: bool = False  # deployment: TLS and keys also on loopback
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class LinkConfig:
 
     host: str = "127.0.0.1"
     port: int = 0  # 0 picks a free one
+    tls: bool | None = None  # None: where the host is not loopback
     timeout_s: float = 60.0  # longest wait for a robot's answer
     patience_s: float = 600.0  # longest silence of the server, while others join or it evaluates
 
@@ -50,6 +53,8 @@ class FederationConfig:
     every: int = 25  # N_F in ticks, Table I
     windows_per_round: int | None = None
     clients: int | None = None
+    on_loss: str = "wait"  # for a robot that is lost to come back, or abort
+    loss_timeout_s: float = 300.0  # how long to wait for it
     link: LinkConfig = field(default_factory=LinkConfig)
 
 
@@ -74,6 +79,7 @@ class RunConfig:
     """What a run leaves behind, and where."""
 
     dir: str | None = None
+    id: str | None = None  # drawn when the run begins; names its robots' state on their nodes
     figures: bool = True
     tensorboard: bool = True
 
@@ -96,13 +102,29 @@ class Config:
 
 DEFAULT_WINDOWS_PER_ROUND = 100
 DEFAULT_CLIENTS = 4
+DEPLOYED_ROUND_TICKS = 20_000
+"""A Flower round of a deployment by default: an exchange of messages costs 10 to 30 s there."""
 
 
 def windows_per_round(config: Config) -> int:
     """Windows that one Flower train message covers."""
-    return config.federation.windows_per_round or DEFAULT_WINDOWS_PER_ROUND
+    default = DEFAULT_WINDOWS_PER_ROUND
+    if config.runtime.name == "deployment":
+        default = max(1, DEPLOYED_ROUND_TICKS // config.federation.every)
+    return config.federation.windows_per_round or default
 
 
 def flower_clients(config: Config) -> int:
     """Flower clients that the robots are dealt to."""
-    return config.federation.clients or min(config.env.robots, DEFAULT_CLIENTS)
+    robots = config.env.robots
+    default = robots if config.runtime.name == "deployment" else min(robots, DEFAULT_CLIENTS)
+    return config.federation.clients or default
+
+
+def waits_for_the_lost(config: Config) -> bool:
+    """Whether the ServerApp itself waits for lost robots.
+
+    Flower's simulation engine does not replace a client's process that has died, so there the
+    launcher starts it anew.
+    """
+    return config.federation.on_loss == "wait" and config.runtime.name == "deployment"

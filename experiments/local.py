@@ -7,22 +7,36 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from client_app.robots import RobotGroup
-from client_app.state import Keeper, load_state
+from client_app.state import Keeper
 from conf import Config
 from conf.places import STATE
 from env.link import LocalFleet, Want
 from server_app.checkpoint import Checkpoint
+from server_app.recorder import report_failure
 from server_app.session import Session
 
 
 class InProcessFleet(LocalFleet):
-    """A local fleet without rounds: the last weights are uploaded like all others."""
+    """A local fleet without rounds: no Flower reply carries the last weights, so it takes them."""
+
+    _farewell = False
 
     def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
         """See ``Fleet.tell``."""
-        super().tell(tick, window, Want.WEIGHTS if want is Want.FAREWELL else want, updates)
+        super().tell(tick, window, want, updates)
+        self._farewell = want is Want.FAREWELL
+
+    def upload(self, window: int) -> NDArray[np.float32]:
+        """See ``Fleet.upload``."""
+        if not self._farewell:
+            return super().upload(window)
+        parts = [(rows, handler.upload()) for _, rows, handler in self._handlers]
+        result = np.empty((self._robots, *parts[0][1].shape[1:]), np.float32)
+        for rows, weights in parts:
+            result[rows] = weights
+        return result
 
 
 def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> dict[str, Any]:
@@ -36,19 +50,12 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     Returns:
         What ``summary.json`` holds.
     """
-    session = Session(config, folder, resumed)
-    robots = tuple(range(config.env.robots))
-    group = RobotGroup(config, robots)
-    state, window = folder / STATE, 0
-    if resumed is not None:
-        window = resumed.window
-        load_state(group, state, window)
-    if (model := session.model()) is not None:
-        group.download(window, model)
-    fleet = InProcessFleet([(robots, group)])
-    with closing(Keeper(group, state, config.state.every)) as keeper:
-        return session.train(fleet, keep=keeper.save if config.state.every else _never)
-
-
-def _never(window: int, last: bool) -> None:
-    """Keeps nothing."""
+    try:
+        session = Session(config, folder, resumed)
+        robots = tuple(range(config.env.robots))
+        state = None if config.state.every is None else folder / STATE
+        with closing(Keeper(config, robots, state)) as keeper:
+            return session.train(InProcessFleet([(robots, keeper)]))
+    except BaseException as error:
+        report_failure(folder, error)
+        raise

@@ -12,12 +12,21 @@ from flwr.serverapp import Grid, ServerApp
 
 from conf import Config, ConfigError, fingerprint
 from env.link import LinkServer
+from env.link.tls import server_context
 from server_app import resume
+from server_app.certificates import run_certificate
 from server_app.checkpoint import Checkpoint
-from server_app.preflight import check_address, checked, checked_yaml, default_concurrency
+from server_app.clients import Clients
+from server_app.lifeline import Lifeline
+from server_app.nodes import wait_for_nodes
+from server_app.preflight import (
+    check_address,
+    checked,
+    checked_yaml,
+    default_concurrency,
+    uses_tls,
+)
 from server_app.recorder import report_failure
-from server_app.rounds import FlowerFleet, wait_for_nodes
-from server_app.session import Session
 
 NODES_PATIENCE_S = 2.0
 
@@ -44,22 +53,21 @@ def _train(grid: Grid, config: Config, folder: Path, resumed: Checkpoint | None)
     """Deals the robots to the federation's nodes and trains with them."""
     check_address(config)
     where = config.federation.link
+    certificate, key = run_certificate(where.host) if uses_tls(config) else ("", "")
     link = LinkServer(
         where.host,
         where.port,
         fingerprint=fingerprint(config.env),
         timeout_s=where.timeout_s,
+        server_context=server_context(certificate, key) if certificate else None,
     )
     try:
         nodes = _nodes(grid, config)
-        config = dataclasses.replace(
-            config,
-            run=dataclasses.replace(config.run, dir=str(folder)),
-            federation=dataclasses.replace(config.federation, clients=len(nodes)),
-        )
-        session = Session(config, folder, resumed)
-        fleet = FlowerFleet(config, grid, link, nodes, session.model())
-        session.train(fleet, fleet.costs)
+        run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
+        federation = dataclasses.replace(config.federation, clients=len(nodes))
+        config = dataclasses.replace(config, run=run, federation=federation)
+        clients = Clients(config, grid, link, nodes, certificate)
+        Lifeline(config, folder, link, clients).train(resumed)
     finally:
         link.close("the run has ended")
 
@@ -67,20 +75,19 @@ def _train(grid: Grid, config: Config, folder: Path, resumed: Checkpoint | None)
 def _asked(given: list[str]) -> tuple[Config, Checkpoint | None]:
     """The run that is asked for, and where it goes on, if it does not begin.
 
-    It is given as Hydra overrides, ``@FILE`` for a configuration that is written out, or
-    ``resume=RUN``.
+    It is given as Hydra overrides, as a whole configuration in YAML, or as ``resume=RUN``.
 
     The runtime is Flower's, whatever ``config.yaml`` has as its default.
     """
     resumed = None
     if resume.asked(given):
         config, resumed = resume.read(given)
-    elif len(given) == 1 and given[0].startswith("@"):
-        config = checked_yaml(Path(given[0][1:]).read_text())
+    elif len(given) == 1 and "\n" in given[0]:
+        config = checked_yaml(given[0])
     else:
         config = checked(["runtime=simulation", *given])
     if config.runtime.name == "local":
-        raise ConfigError("runtime=local: allowed on Flower is simulation.")
+        raise ConfigError("runtime=local: allowed on Flower are simulation and deployment.")
     return config, resumed
 
 
@@ -91,6 +98,8 @@ def _nodes(grid: Grid, config: Config) -> list[int]:
     most one a robot, and no more than Flower's engine runs at once by its own default.
     """
     wanted = config.federation.clients
+    if wanted is None and config.runtime.name == "deployment":
+        wanted = config.env.robots
     if wanted is not None:
         return wait_for_nodes(grid, wanted, config.runtime.start_timeout_s)
     most = min(config.env.robots, default_concurrency())

@@ -7,7 +7,8 @@ whole on every side, and goes on from there to the bits of a run that was never 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,12 +59,13 @@ def latest(state: Path, robots: int) -> Checkpoint:
 
     Args:
         state: the run's folder of checkpoints.
-        robots: K.
+        robots: K; 0 where their checkpoints lie on other machines.
 
     Raises:
         CheckpointError: there is none; the message says what is wrong with the newest one.
     """
     places = [robot_windows(state, robot) for robot in range(robots)]
+    whom = f"the server and all {robots} robots have" if robots else "the server has"
     common = set(checkpoints(server_folder(state))).intersection(*places)
     trouble: CheckpointError | None = None
     for window in sorted(common, reverse=True):
@@ -75,8 +77,20 @@ def latest(state: Path, robots: int) -> Checkpoint:
             trouble = trouble or error
         else:
             return Checkpoint(window, arrays, meta)
-    missing = f"{state} holds no checkpoint that the server and all {robots} robots have"
-    raise trouble or CheckpointError(missing)
+    raise trouble or CheckpointError(f"{state} holds no checkpoint that {whom}")
+
+
+def newest(state: Path, windows: Iterable[int]) -> Checkpoint | None:
+    """The newest of the server's checkpoints of these windows that is whole, if one is.
+
+    Args:
+        state: the run's folder of checkpoints.
+        windows: those that may be taken.
+    """
+    for window in sorted(windows, reverse=True):
+        with suppress(CheckpointError):
+            return Checkpoint(window, *load_checkpoint(server_folder(state), window))
+    return None
 
 
 def flat(parts: Mapping[str, State]) -> dict[str, NDArray[Any]]:

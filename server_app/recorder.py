@@ -8,6 +8,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -59,12 +60,21 @@ def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
 
 def report_failure(folder: Path, error: BaseException) -> None:
     """Writes to a run's ``progress.json`` that it failed, and why; a first failure stands."""
+    with suppress(OSError):  # of a full disk: the error that stands is the first
+        report_state(folder, "failed", f"{type(error).__name__}: {error}")
+
+
+def report_state(folder: Path, state: str, message: str) -> None:
+    """Writes to a run's ``progress.json`` what has become of it; a failure stands.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     path = folder / "progress.json"
     status: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
     if status.get("state") == "failed":
         return
-    message = f"{type(error).__name__}: {error}"
-    status |= {"state": "failed", "message": message, "written_at": time.time()}
+    status |= {"state": state, "message": message, "written_at": time.time()}
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(path, json.dumps(status))
 
@@ -131,6 +141,12 @@ class Recorder:
         evaluator: plays frozen weights.
         cpu_s: processor time that the run has used so far.
         resumed: what ``marks`` gave where the run goes on from a checkpoint.
+
+    Attributes:
+        folder: the run's folder.
+        clients: each client, whether it is connected and what it has cost.
+        checkpoint: the window of the last checkpoint, if any.
+        round: the number of the Flower round, if there are rounds.
     """
 
     def __init__(
@@ -144,9 +160,12 @@ class Recorder:
         self._config, self.folder = config, folder
         self._evaluator = evaluator
         self._cpu_s = cpu_s
+        self.clients: Callable[[], list[dict[str, Any]]] = list
         self.began = self.started = time.perf_counter()
         self._written = 0.0
         self._ended: float | None = None
+        self.checkpoint: int | None = None
+        self.round: int | None = None
         self.running = False
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / "config.yaml", to_yaml(config))
@@ -247,6 +266,9 @@ class Recorder:
             "evaluated": self.history.evaluations[-1]["success"]
             if self.history.evaluations
             else None,
+            "checkpoint": self.checkpoint,
+            "round": self.round,
+            "clients": self.clients(),
         }
         write_atomically(self.folder / "progress.json", json.dumps(status), durable=False)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import secrets
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +17,11 @@ from server_app.recorder import check_files
 PREFIX = "resume="
 MAY_CHANGE = ("train.episodes", "train.max_ticks")
 """What a resume may set: when the run ends. All else would make it another run."""
+
+
+def new_id() -> str:
+    """A fresh identity for a run, 16 hexadecimal digits."""
+    return secrets.token_hex(8)
 
 
 def asked(overrides: Sequence[str]) -> bool:
@@ -47,7 +53,8 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
             )
     config = _config(folder, rest)
     try:
-        checkpoint = latest(folder / STATE, config.env.robots)
+        deployed = config.runtime.name == "deployment"  # the robots' are on their nodes
+        checkpoint = latest(folder / STATE, 0 if deployed else config.env.robots)
         check_files(folder, checkpoint.meta["marks"])
     except CheckpointError as error:
         raise ConfigError(f"resume={folder}: {error}.") from error

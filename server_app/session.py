@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -32,7 +32,6 @@ from server_app.recorder import (
     MEASURES,
     Recorder,
     evaluate,
-    report_failure,
     write_atomically,
 )
 from server_app.strategies import build_aggregator
@@ -70,6 +69,10 @@ class Costs:
         """Both together."""
         return Costs(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
+    def minus(self, other: Costs) -> Costs:
+        """What came after the other."""
+        return Costs(*(getattr(self, f.name) - getattr(other, f.name) for f in fields(self)))
+
 
 class Session:
     """One training run.
@@ -78,10 +81,18 @@ class Session:
         config: the run's configuration.
         folder: the run's folder.
         resumed: where the run goes on, if it does not begin.
+        losses: what was lost on the way here, for the summary.
     """
 
-    def __init__(self, config: Config, folder: Path, resumed: Checkpoint | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        folder: Path,
+        resumed: Checkpoint | None = None,
+        losses: Sequence[dict[str, Any]] = (),
+    ) -> None:
         single_threaded()
+        self.losses = list(losses)
         self.config, self.folder, self._resumed = config, folder, resumed
         spent = {"wall_s": 0.0, "cpu_s": 0.0, "waited_s": 0.0}
         if resumed is not None:
@@ -118,35 +129,36 @@ class Session:
         self,
         fleet: Fleet,
         costs: Callable[[], Costs] = Costs,
-        keep: Callable[[int, bool], None] = lambda window, last: None,
+        clients: Callable[[], list[dict[str, Any]]] = list,
     ) -> dict[str, Any]:
         """Trains with a fleet and writes everything that the run leaves behind.
 
         Args:
-            fleet: the robots, which hold ``model``, and what they had at the checkpoint.
+            fleet: the robots, which are sent to where the run begins or goes on.
             costs: what the runtime has added since this process began.
-            keep: writes the robots' checkpoints of a window, if due or the last, where they do
-                not write them themselves.
+            clients: each client: its robots, and what it has cost.
 
         Returns:
             What ``summary.json`` holds.
         """
         before = Costs() if self._resumed is None else Costs(**self._resumed.meta["costs"])
-        self._costs = lambda: before.plus(costs())
+        earlier = costs()  # of a part of the run that was played in vain
+        self._costs = lambda: before.plus(costs().minus(earlier))
+        self.recorder.clients = clients
         aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
         stop = (self.folder / STOP_FILE).exists
 
-        def checkpoint(last: bool) -> None:
-            keep(run.progress.window, last)
+        def keep(last: bool) -> None:
             self._checkpoint(run, last=last)
 
         run = Coordinator(
-            self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop, checkpoint
+            self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop, keep
         )
         run.waited_s = self._waited_s
-        arrays = None if self._resumed is None else self._resumed.arrays
+        resumed = self._resumed
         try:
-            robots = run.run(self.initial_weights(), arrays)
+            fleet.begin(0 if resumed is None else resumed.window, self.model())
+            robots = run.run(self.initial_weights(), None if resumed is None else resumed.arrays)
             self._writer.wait()
             if not self.recorder.running:
                 self.recorder.on_start()
@@ -154,10 +166,9 @@ class Session:
             self.recorder.report("finishing", run.progress)
             summary = self._finish(run, robots, trained_s, shared=aggregator is not None)
             self.recorder.report("done", run.progress)
-        except BaseException as error:
+        except BaseException:
             with suppress(OSError):  # of a full disk: the error that stands is the first
                 self.recorder.report("training", run.progress)
-                report_failure(self.folder, error)
             raise
         finally:
             self.recorder.close()
@@ -179,8 +190,10 @@ class Session:
             "costs": asdict(self._costs()),
             "marks": self.recorder.marks(),
             "fingerprint": fingerprint(self.config.env),
+            "losses": self.losses,
         }
         save_server(self._writer, self.folder / STATE, window, run.state(), meta)
+        self.recorder.checkpoint = window
 
     def _finish(
         self, run: Coordinator, robots: NDArray[np.float32], trained_s: float, *, shared: bool
@@ -213,6 +226,8 @@ class Session:
             "steps_per_s": self.recorder.steps_per_s(run.progress),
             "flower_share": costs.flower_s / trained_s,
             "costs": asdict(costs),
+            "clients": self.recorder.clients(),
+            "losses": self.losses,
             "converged": history.converged(),
             "evaluation": {
                 "greedy": {name: greedy[name] for name in MEASURES},

@@ -1,5 +1,7 @@
 """The client's end of the link over TCP: serves a handler's robots to the server."""
 
+from __future__ import annotations
+
 import logging
 import socket
 import ssl
@@ -7,6 +9,7 @@ import time
 from collections.abc import Sequence
 
 from env.link.errors import (
+    Disconnected,
     FrameError,
     LinkTimeout,
     Refused,
@@ -19,9 +22,11 @@ from env.link.layout import TEXT_SIZE, step_size, weights_size
 from env.link.messages import (
     VERSION,
     Actions,
+    Begin,
     Failure,
     Hello,
     Message,
+    Ready,
     Step,
     Want,
     Weights,
@@ -29,7 +34,7 @@ from env.link.messages import (
     checked_weights,
 )
 from env.link.messages import Refused as RefusedMessage
-from env.link.wire import Wire
+from env.link.wire import Wire, prepare
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +49,7 @@ def serve(
     timeout_s: float,
     n_parameters: int,
     patience_s: float | None = None,
+    return_s: float = 0.0,
     client_context: ssl.SSLContext | None = None,
 ) -> None:
     """Serve one round: returns once the handler has taken the step that wants a FAREWELL.
@@ -58,6 +64,8 @@ def serve(
         n_parameters: P, of one network.
         patience_s: the longest silence after that, in s; `timeout_s` if None. The server is silent
             while other clients join and while it evaluates; if it dies, that is noticed at once.
+        return_s: how long to try to come back where the connection breaks, in s; 0 does not try.
+            A server that has died is not waited for: its machine refuses the connection.
         client_context: for TLS; none, no TLS.
 
     Raises:
@@ -66,28 +74,43 @@ def serve(
         LinkTimeout: the server has said nothing for that long.
         FrameError: the server has said what it must not.
     """
-    hello = encode(Hello(VERSION, fingerprint, list(robots), list(tokens)))
     sock = _connected(address, timeout_s, client_context)
-    try:
-        limit = max(TEXT_SIZE, step_size(len(robots)), weights_size((2, n_parameters)))
-        line = _Line(Wire(sock, limit), timeout_s)
-        line.wait_up_to(timeout_s)
-        line.say(hello)
-        answer = line.hear()
-        if isinstance(answer, RefusedMessage):
-            raise Refused(answer.reason)
-        if not isinstance(answer, Welcome):
-            raise FrameError(f"{type(answer).__name__} where a welcome is due")
-        line.wait_up_to(timeout_s if patience_s is None else patience_s)
+    while True:
         try:
-            _converse(line, handler, len(robots), n_parameters)
-        except ServerLost:
-            raise
-        except BaseException as error:
-            line.wire.finish(encode(Failure(described(error))), linger_s=1.0)
-            raise
-    finally:
-        sock.close()
+            line = _entered(sock, handler, robots, tokens, fingerprint, timeout_s, n_parameters)
+            line.wait_up_to(timeout_s if patience_s is None else patience_s)
+            _attend(line, handler, len(robots), n_parameters)
+            return
+        except Disconnected as error:
+            if not return_s:
+                raise
+            log.warning("%s; coming back", error)
+        finally:
+            sock.close()
+        sock = _connected(address, return_s, client_context, if_refused=False)
+
+
+def _entered(
+    sock: socket.socket,
+    handler: Robots,
+    robots: Sequence[int],
+    tokens: Sequence[str],
+    fingerprint: str,
+    timeout_s: float,
+    n_parameters: int,
+) -> _Line:
+    """Say hello and hear the welcome."""
+    hello = Hello(VERSION, fingerprint, list(robots), list(tokens), list(handler.windows()))
+    limit = max(TEXT_SIZE, step_size(len(robots)), weights_size((2, n_parameters)))
+    line = _Line(Wire(sock, limit), timeout_s)
+    line.wait_up_to(timeout_s)
+    line.say(encode(hello))
+    answer = line.hear()
+    if isinstance(answer, RefusedMessage):
+        raise Refused(answer.reason)
+    if not isinstance(answer, Welcome):
+        raise FrameError(f"{type(answer).__name__} where a welcome is due")
+    return line
 
 
 class _Line:
@@ -109,7 +132,7 @@ class _Line:
         except TimeoutError:
             frame = None
         except (OSError, EOFError) as error:
-            raise ServerLost(f"the server has gone: {described(error)}") from error
+            raise Disconnected(f"the server has gone: {described(error)}") from error
         if frame is None:
             raise LinkTimeout(f"no word from the server for {self._timeout_s:g} s")
         return decode(bytearray(frame))
@@ -119,7 +142,18 @@ class _Line:
         try:
             self.wire.send(frame, self._timeout_s)
         except OSError as error:
-            raise ServerLost(f"the server has gone: {described(error)}") from error
+            raise Disconnected(f"the server has gone: {described(error)}") from error
+
+
+def _attend(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
+    """Serve steps until the farewell; what goes wrong here is told to the server."""
+    try:
+        _converse(line, handler, count, n_parameters)
+    except ServerLost:
+        raise
+    except BaseException as error:
+        line.wire.finish(encode(Failure(described(error))), linger_s=1.0)
+        raise
 
 
 def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
@@ -143,6 +177,13 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
             weights = checked_weights(message.weights, (2, n_parameters))
             handler.download(message.window, weights)
             uploaded = -1
+        elif isinstance(message, Begin):
+            model = message.model
+            if model is not None:
+                model = checked_weights(model, (2, n_parameters))
+            handler.begin(message.window, model)
+            uploaded = -1
+            line.say(encode(Ready(message.number)))
         elif isinstance(message, Failure):
             raise ServerLost(f"the server has stopped: {message.reason}")
         else:
@@ -150,9 +191,13 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
 
 
 def _connected(
-    address: tuple[str, int], timeout_s: float, context: ssl.SSLContext | None
+    address: tuple[str, int],
+    timeout_s: float,
+    context: ssl.SSLContext | None,
+    *,
+    if_refused: bool = True,
 ) -> socket.socket:
-    """A connection to the server, tried again and again until the deadline."""
+    """A connection to the server, tried again until the deadline, also if it is refused or not."""
     deadline = time.monotonic() + timeout_s
     pause = 0.05
     while True:
@@ -161,14 +206,15 @@ def _connected(
             sock = socket.create_connection(address, timeout=rest)
             break
         except OSError as error:
-            if time.monotonic() + pause >= deadline:
+            refused = isinstance(error, ConnectionRefusedError) and not if_refused
+            if refused or time.monotonic() + pause >= deadline:
                 where = f"{address[0]}:{address[1]}"
                 raise ServerLost(f"no connection to {where}: {described(error)}") from error
             log.debug("no connection yet: %s", described(error))
         time.sleep(pause)
         pause = min(1.0, 2 * pause)
     sock.settimeout(timeout_s)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    prepare(sock)
     if context is None:
         return sock
     try:

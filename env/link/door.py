@@ -13,14 +13,13 @@ import ssl
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from env.link.errors import FrameError, described, named
 from env.link.frames import decode, encode
 from env.link.layout import HELLO_SIZE
 from env.link.messages import VERSION, Hello, Refused, Welcome
-from env.link.wire import Wire
+from env.link.wire import Wire, prepare
 
 log = logging.getLogger(__name__)
 MAX_NEWCOMERS = 64
@@ -32,7 +31,7 @@ class Admission:
 
     fingerprint: str
     blocks: tuple[tuple[int, ...], ...]
-    tokens: Mapping[int, str] = field(repr=False)
+    tokens: dict[int, str] = field(repr=False)
 
     def refusal(self, hello: Hello) -> str | None:
         """Why a hello is not good enough; None if it is."""
@@ -58,6 +57,7 @@ class Arrival:
     admission: Admission
     block: tuple[int, ...]
     sock: socket.socket
+    windows: frozenset[int]
 
 
 class Newcomer:
@@ -146,7 +146,7 @@ class Door(threading.Thread):
             return
         try:
             sock.setblocking(False)
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            prepare(sock)
             if self._context is not None:
                 sock = self._context.wrap_socket(
                     sock, server_side=True, do_handshake_on_connect=False
@@ -181,7 +181,8 @@ class Door(threading.Thread):
             return
         newcomer.wire.send(encode(Welcome()), 0.0)
         self._forget(newcomer)
-        self.arrivals.append(Arrival(admission, tuple(hello.robots), newcomer.sock))
+        block, windows = tuple(hello.robots), frozenset(hello.windows)
+        self.arrivals.append(Arrival(admission, block, newcomer.sock, windows))
         with contextlib.suppress(BlockingIOError):
             self._button.send(b"x")
 

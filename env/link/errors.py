@@ -64,6 +64,10 @@ class ServerLost(LinkError):
     """The server has gone."""
 
 
+class Disconnected(ServerLost):
+    """The connection to the server broke, without a word of why."""
+
+
 class Refused(LinkError):
     """The server does not let this client in, and says why."""
 

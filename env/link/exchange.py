@@ -10,8 +10,11 @@ import select
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
 
 from env.link.door import Admission, Arrival
 from env.link.errors import (
@@ -25,7 +28,7 @@ from env.link.errors import (
 from env.link.frames import decode, encode
 from env.link.interface import Turn
 from env.link.layout import Kind
-from env.link.messages import Failure
+from env.link.messages import Begin, Failure, Ready
 from env.link.seats import Seat
 from env.link.wire import Wire
 
@@ -57,17 +60,22 @@ class Exchange:
         self._admission, self._arrivals, self._bell = admission, arrivals, bell
         self._timeout_s = timeout_s
         self._seat_of: dict[int, Seat] = {}
-        self._again: set[Seat] = set()
         self._poll = select.poll()
         self._poll.register(bell, select.POLLIN)
+        self._filling = True
+        self._beginnings = 0
 
     def fill(self, deadline_s: float, poll: Callable[[], None] | None) -> None:
         """Wait until every seat is taken, calling `poll` at least five times a second."""
         deadline = time.monotonic() + deadline_s
+        self._filling = True
+        for seat in self.seats.values():  # whoever is here answers what no longer counts
+            seat.stale = seat.wire is not None
         while True:
             self._admit()
-            free = [seat for seat in self.seats.values() if seat.wire is None]
+            free = self.free()
             if not free:
+                self._filling = False
                 return
             if poll is not None:
                 poll()
@@ -77,12 +85,39 @@ class Exchange:
             for seat in self._ready(min(rest, 0.2)):
                 self._reply(seat)
 
+    def free(self) -> list[Seat]:
+        """The seats that nobody holds."""
+        return [seat for seat in self.seats.values() if seat.wire is None]
+
+    def renew(self, block: tuple[int, ...], tokens: Mapping[int, str]) -> None:
+        """Give a seat up and let in only who has these tokens: whoever had it is out."""
+        self._admission.tokens.update({robot: tokens[robot] for robot in block})
+        self._drop(self.seats[block])
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """Send all clients to a window, and wait until they are there."""
+        self._beginnings += 1
+        self.turn = Turn()
+        frame = encode(Begin(self._beginnings, window, model))
+        for seat in self.seats.values():
+            seat.stale = True
+            self.send(seat, frame, awaited=True)
+        self.gather(lambda seat, frame: None)
+
     def send(self, seat: Seat, frame: bytes, awaited: bool) -> None:
         """Send a frame to a client; `awaited` says whether an answer is due."""
         if self._arrivals:
             self._admit()
-        seat.outbox, seat.awaited = frame, False
-        self._deliver(seat)
+        seat.awaited = False
+        wire = seat.wire
+        if wire is None:
+            raise RobotLost(seat.block, str(self.turn), "it is not connected")
+        try:
+            wire.send(frame, self._timeout_s)
+        except OSError as error:
+            self._recover(seat, wire, error)
+        seat.stats.bytes_sent += len(frame)
+        seat.stats.frames_sent += 1
         seat.awaited = awaited
 
     def gather(self, accept: Callable[[Seat, memoryview], None]) -> None:
@@ -96,6 +131,8 @@ class Exchange:
         while awaited:
             rest = start + self._timeout_s - time.perf_counter()
             if rest <= 0:
+                for seat in awaited:
+                    self._drop(seat)
                 raise LinkTimeout(
                     f"{_all_named(awaited)} did not answer within {self._timeout_s:g} s, "
                     f"{self.turn}"
@@ -121,8 +158,6 @@ class Exchange:
 
     def _ready(self, wait_s: float) -> list[Seat]:
         """Wait for the seats that have something to read, and let arrivals in on the way."""
-        while self._again:
-            self._deliver(self._again.pop())
         ready = []
         for fd, _ in self._poll.poll(wait_s * 1000):
             seat = self._seat_of.get(fd)
@@ -139,6 +174,8 @@ class Exchange:
             return None
         try:
             frame = wire.receive()
+            while frame is not None and seat.stale and not self._is_ready(seat, frame):
+                frame = wire.receive()
             if frame is None:
                 return None
             if frame[5] == Kind.FAILURE:
@@ -154,20 +191,13 @@ class Exchange:
         seat.stats.frames_received += 1
         return frame
 
-    def _deliver(self, seat: Seat) -> None:
-        """Send a seat's outbox, if need be to the connection that replaces a broken one."""
-        while True:
-            wire = seat.wire
-            if wire is None:
-                raise RobotLost(seat.block, str(self.turn), "it is not connected")
-            try:
-                wire.send(seat.outbox, self._timeout_s)
-            except OSError as error:
-                self._recover(seat, wire, error)
-                continue
-            seat.stats.bytes_sent += len(seat.outbox)
-            seat.stats.frames_sent += 1
-            return
+    def _is_ready(self, seat: Seat, frame: memoryview) -> bool:
+        """Whether a client that was sent to a window is there; a failure is not waited past."""
+        if frame[5] == Kind.FAILURE:
+            return True
+        message = decode(frame)
+        seat.stale = not (isinstance(message, Ready) and message.number == self._beginnings)
+        return not seat.stale
 
     def _recover(self, seat: Seat, wire: Wire, error: OSError | EOFError) -> None:
         """Go on if another connection has taken the seat; else say how the robot was lost."""
@@ -181,9 +211,15 @@ class Exchange:
         self._lose(seat, str(error) if isinstance(error, EOFError) else described(error))
 
     def _admit(self) -> None:
-        """Give the arrivals their seats; whoever sat there before has to go."""
+        """Give the arrivals their seats; whoever sat there before has to go.
+
+        Raises:
+            RobotLost: one has come back in the middle of the conversation, of which it may have
+                lost a part.
+        """
         with contextlib.suppress(BlockingIOError):
             self._bell.recv(4096)
+        back: Seat | None = None
         while self._arrivals:
             arrival = self._arrivals.popleft()
             if arrival.admission is not self._admission:
@@ -193,11 +229,14 @@ class Exchange:
             if seat.wire is not None:
                 log.warning("a new connection of %s replaces the old one", named(seat.block))
                 self._drop(seat)
-            seat.wire = Wire(arrival.sock, seat.limit)
+            seat.wire, seat.windows = Wire(arrival.sock, seat.limit), arrival.windows
+            seat.awaited = seat.stale = False
             self._seat_of[seat.wire.fileno()] = seat
             self._poll.register(seat.wire, select.POLLIN)
-            if seat.awaited:
-                self._again.add(seat)
+            back = seat
+        if back is not None and not self._filling:
+            reason = "its connection broke, and it has come back with a new one"
+            raise RobotLost(back.block, str(self.turn), reason)
 
     def _fail(self, seat: Seat, frame: memoryview) -> NoReturn:
         """A client has said why it stops."""

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from env.link.errors import TEXT_LIMIT, FrameError, one_line
 from env.link.layout import (
     ACTIONS,
+    BEGIN,
     BODY_LIMITS,
     HEADER,
     MAGIC,
+    READY,
     RECORD,
     STEP,
     WEIGHTS,
@@ -32,10 +34,12 @@ from env.link.messages import (
     UPDATE,
     VERSION,
     Actions,
+    Begin,
     Failure,
     Flag,
     Hello,
     Message,
+    Ready,
     Refused,
     Step,
     Want,
@@ -103,9 +107,21 @@ def _encode_weights(message: Weights) -> bytes:
     return _framed(Kind.WEIGHTS, WEIGHTS.pack(message.window, weights.ndim, *shape), weights.data)
 
 
+def _encode_begin(begin: Begin) -> bytes:
+    if begin.model is None:
+        return _framed(Kind.BEGIN, BEGIN.pack(begin.number, begin.window, 0, 0))
+    model = np.ascontiguousarray(begin.model, "<f4")
+    if model.ndim != 2 or 0 in model.shape:
+        raise FrameError(f"a model of shape {model.shape}")
+    return _framed(Kind.BEGIN, BEGIN.pack(begin.number, begin.window, *model.shape), model.data)
+
+
 def _encode_hello(hello: Hello) -> bytes:
-    fields = {name: getattr(hello, name) for name in ("version", "fingerprint", "robots", "tokens")}
+    fields = {name: getattr(hello, name) for name in _HELLO}
     return _framed(Kind.HELLO, json.dumps(fields).encode())
+
+
+_HELLO = ("version", "fingerprint", "robots", "tokens", "windows")
 
 
 _ENCODERS: dict[type, Callable[[Any], bytes]] = {
@@ -114,6 +130,8 @@ _ENCODERS: dict[type, Callable[[Any], bytes]] = {
     Weights: _encode_weights,
     Hello: _encode_hello,
     Welcome: lambda m: _framed(Kind.WELCOME, json.dumps({"version": m.version}).encode()),
+    Begin: _encode_begin,
+    Ready: lambda m: _framed(Kind.READY, READY.pack(m.number)),
     Refused: lambda m: _framed(Kind.REFUSED, one_line(m.reason).encode()),
     Failure: lambda m: _framed(Kind.FAILURE, one_line(m.reason).encode()),
 }
@@ -183,6 +201,21 @@ def _decode_weights(body: memoryview) -> Weights:
     return Weights(window, np.frombuffer(body, "<f4", offset=WEIGHTS.size).reshape(dims[:ndim]))
 
 
+def _decode_begin(body: memoryview) -> Begin:
+    number, window, *shape = BEGIN.unpack_from(body)
+    if len(body) != BEGIN.size + 4 * math.prod(shape) or (0 in shape and any(shape)):
+        raise ValueError(f"{len(body)} bytes are not a model of shape {shape}")
+    if not any(shape):
+        return Begin(number, window, None)
+    return Begin(number, window, np.frombuffer(body, "<f4", offset=BEGIN.size).reshape(shape))
+
+
+def _decode_ready(body: memoryview) -> Ready:
+    if len(body) != READY.size:
+        raise ValueError(f"{len(body)} bytes")
+    return Ready(*READY.unpack(body))
+
+
 def _number(value: object, limit: int) -> int:
     if type(value) is not int or not 0 <= value < limit:
         raise ValueError("a number is missing or out of range")
@@ -195,8 +228,8 @@ def _text(value: object, limit: int) -> str:
     return value
 
 
-def _many(value: object) -> list[object]:
-    if not isinstance(value, list) or not 1 <= len(value) <= MAX_ROBOTS:
+def _many(value: object, least: int = 1) -> list[object]:
+    if not isinstance(value, list) or not least <= len(value) <= MAX_ROBOTS:
         raise ValueError("a list is missing, empty or too long")
     return value
 
@@ -215,6 +248,7 @@ def _decode_hello(body: memoryview) -> Hello:
         fingerprint=_text(fields.get("fingerprint"), TEXT_LIMIT),
         robots=[_number(robot, MAX_ROBOTS) for robot in _many(fields.get("robots"))],
         tokens=[_text(token, 256) for token in _many(fields.get("tokens"))],
+        windows=[_number(window, 2**32) for window in _many(fields.get("windows", []), least=0)],
     )
 
 
@@ -226,4 +260,6 @@ _DECODERS: dict[int, Callable[[memoryview], Message]] = {
     Kind.STEP: _decode_step,
     Kind.ACTIONS: _decode_actions,
     Kind.WEIGHTS: _decode_weights,
+    Kind.BEGIN: _decode_begin,
+    Kind.READY: _decode_ready,
 }

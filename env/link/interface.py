@@ -1,5 +1,6 @@
 """The two ends of the link, whatever lies between them."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +23,14 @@ class Robots(Protocol):
 
     def download(self, window: int, weights: NDArray[np.float32]) -> None:
         """Take the global model of a window, float32 (2, P)."""
+        ...
+
+    def windows(self) -> Sequence[int]:
+        """Windows of which all these robots have a checkpoint, whole and unchanged."""
+        ...
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """Go to the state after a window, 0 being the start; then take a model (2, P), if any."""
         ...
 
 
@@ -62,6 +71,10 @@ class Fleet(Protocol):
 
     def download(self, window: int, weights: NDArray[np.float32]) -> None:
         """Give all robots the global model of a window, float32 (2, P)."""
+        ...
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """Send all robots to the state after a window, 0 being the start, with its model."""
         ...
 
     def close(self) -> None:

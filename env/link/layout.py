@@ -12,6 +12,8 @@ HEADER = struct.Struct("<4sBBHI")
 STEP = struct.Struct("<QIBxH")
 ACTIONS = struct.Struct("<QI")
 WEIGHTS = struct.Struct("<IB3xIII")
+BEGIN = struct.Struct("<IIII")
+READY = struct.Struct("<I")
 RECORD = UPDATE.itemsize
 
 
@@ -25,6 +27,8 @@ class Kind(IntEnum):
     STEP = 5
     ACTIONS = 6
     WEIGHTS = 7
+    BEGIN = 8
+    READY = 9
 
 
 TEXT_SIZE = HEADER.size + 4 * TEXT_LIMIT
@@ -37,6 +41,8 @@ BODY_LIMITS = {
     Kind.STEP: STEP.size + MAX_ROBOTS * RECORD,
     Kind.ACTIONS: ACTIONS.size + MAX_ROBOTS * 4,
     Kind.WEIGHTS: WEIGHTS.size + 2**30,
+    Kind.BEGIN: BEGIN.size + 2**30,
+    Kind.READY: READY.size,
 }
 
 

@@ -79,6 +79,16 @@ class LocalFleet:
             except Exception as error:
                 raise RobotFailed(block, str(self._turn), described(error)) from error
 
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """See `Fleet.begin`."""
+        self._check_open()
+        self._turn = Turn()
+        for block, _, handler in self._handlers:
+            try:
+                handler.begin(window, None if model is None else model.copy())
+            except Exception as error:
+                raise RobotFailed(block, str(self._turn), described(error)) from error
+
     def close(self) -> None:
         """See `Fleet.close`."""
         self._closed = True

@@ -2,22 +2,26 @@
 
 | message | from | carries | answer |
 |---|---|---|---|
-| `Hello` | client | version, fingerprint, robots, a token for each | `Welcome` or `Refused` |
+| `Hello` | client | version, fingerprint, robots, tokens, checkpoints | `Welcome` or `Refused` |
+| `Begin` | server | a window to go back to, and its global model | `Ready` |
 | `Step` | server | outcome of a tick, observation of the next, what is wanted | see `Want` |
 | `Actions` | client | an action for each robot, -1 where it is not driving | the next `Step` |
 | `Weights` | client | upload: (n, 2, P), online then target, of each robot | `Weights` or `Step` |
 | `Weights` | server | download: (2, P), the global model | none; a `Step` follows |
 | `Failure` | either | one line: why this side stops | none |
+
+`Begin` may come at any time. What the client sent before it counts no more: the server drops all
+up to the `Ready` that has the `Begin`'s number.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 1
+VERSION = 2
 MAX_ROBOTS = 256
 
 UPDATE = np.dtype(
@@ -89,6 +93,8 @@ class Hello:
     fingerprint: str
     robots: list[int]
     tokens: list[str]
+    windows: list[int] = field(default_factory=list)
+    """Windows of which all these robots have a checkpoint."""
 
     def __repr__(self) -> str:
         """Without the tokens, which no log may hold."""
@@ -100,6 +106,25 @@ class Welcome:
     """The client is in."""
 
     version: int = VERSION
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Begin:
+    """Go to the state after a window, 0 being the run's start; then take a model, if any.
+
+    `model`: float32 (2, P), or None where each robot keeps its own weights.
+    """
+
+    number: int
+    window: int
+    model: NDArray[np.float32] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The client is where the `Begin` of this number says."""
+
+    number: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +141,7 @@ class Failure:
     reason: str
 
 
-Message = Step | Actions | Weights | Hello | Welcome | Refused | Failure
+Message = Step | Actions | Weights | Hello | Welcome | Begin | Ready | Refused | Failure
 
 
 def robot_count(blocks: Sequence[Sequence[int]]) -> int:

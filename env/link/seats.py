@@ -32,8 +32,9 @@ class Seat:
         self.limit = max(TEXT_SIZE, actions_size(len(block)), weights_size(self.upload_shape))
         self.stats = stats
         self.wire: Wire | None = None
-        self.outbox: bytes = b""
         self.awaited = False
+        self.stale = False  # what comes belongs to what was before the last `Begin`
+        self.windows: frozenset[int] = frozenset()
 
     def records(self, fleet: bytes) -> bytes:
         """This seat's part of the bytes of all robots' UPDATE records."""

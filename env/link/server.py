@@ -112,6 +112,23 @@ class LinkServer:
         """
         self._open.fill(deadline_s, poll)
 
+    def free(self) -> list[tuple[int, ...]]:
+        """The blocks of the round whose client is not connected, as far as has been noticed."""
+        return [seat.block for seat in self._open.free()]
+
+    def renew(self, block: tuple[int, ...], tokens: Mapping[int, str]) -> None:
+        """Let a block's robots in with these tokens only: a client that has older ones is out."""
+        self._open.renew(block, tokens)
+
+    def common_windows(self) -> list[int]:
+        """Windows, ascending, of which all robots said on arrival that they have a checkpoint."""
+        seats = list(self._open.seats.values())
+        return sorted(frozenset.intersection(*(seat.windows for seat in seats)))
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """See `Fleet.begin`; once all clients are connected, whatever was under way."""
+        self._open.begin(window, model if model is None else checked_weights(model, self._shape))
+
     def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
         """See `Fleet.tell`."""
         exchange = self._open

@@ -9,7 +9,28 @@ import numpy as np
 
 from env.link.layout import HEADER, frame_size
 
+SILENCE_S = 20
+"""How long a connection may carry nothing back before the kernel gives it up, in s."""
+
 _NOT_NOW = (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError)
+
+
+def prepare(sock: socket.socket) -> None:
+    """Sets a TCP socket to send at once, and to notice a peer that has gone without a word.
+
+    A cable that is cut says nothing. Probes find out while nothing is under way, and a limit on
+    what is sent but not acknowledged does so else; either ends the connection with an error.
+    """
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (
+        ("TCP_KEEPIDLE", SILENCE_S // 4),
+        ("TCP_KEEPINTVL", SILENCE_S // 4),
+        ("TCP_KEEPCNT", 3),
+        ("TCP_USER_TIMEOUT", SILENCE_S * 1000),
+    ):
+        if hasattr(socket, name):  # Linux; elsewhere the link's own deadlines hold
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 class Wire:

@@ -208,7 +208,11 @@ def test_an_order_is_read_as_it_was_written(tiny: Tiny) -> None:
             "host": "127.0.0.1",
             "port": 4711,
             "window": 20,
+            "round": 3,
+            "certificate": "PEM",
+            "resumed": True,
         }
     )
     order = Order.read(record)
-    assert order == Order(config, (1, 2), ["a", "b"], ("127.0.0.1", 4711), 20)
+    address = ("127.0.0.1", 4711)
+    assert order == Order(config, (1, 2), ["a", "b"], address, 20, 3, "PEM", True)

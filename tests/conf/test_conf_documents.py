@@ -15,7 +15,12 @@ MODEL = (ROOT / "docs" / "model.md").read_text()
 ASSUMPTIONS = (ROOT / "docs" / "assumptions.md").read_text()
 OPEN_POINTS = [line for line in ASSUMPTIONS.splitlines() if line.startswith("| C-")]
 WHERE_IT_RUNS = ("runtime.", "federation.link.", "run.", "state.")
-HOW_FLOWER_CARRIES_IT = ("federation.windows_per_round", "federation.clients")
+HOW_FLOWER_CARRIES_IT = (
+    "federation.windows_per_round",
+    "federation.clients",
+    "federation.on_loss",
+    "federation.loss_timeout_s",
+)
 
 
 def leaves(value, above=""):

@@ -151,9 +151,7 @@ def test_a_configuration_that_is_written_out_needs_its_plan_no_more(own):
 
 
 def config_on_flower_from(text, folder):
-    path = folder / "config.yaml"
-    path.write_text(text.replace("name: local", "name: simulation"))
-    return asked_on_flower([f"@{path}"])[0].env
+    return asked_on_flower([text.replace("name: local", "name: simulation")])[0].env
 
 
 def test_a_plan_that_changes_later_changes_nothing_that_is_written_out(own):

@@ -27,6 +27,7 @@ class Recorder:
         self.block = block
         self.fail_at = fail_at
         self.calls = []
+        self.kept_windows = []
         self.model = np.zeros(SHAPE, np.float32)
 
     def step(self, step):
@@ -47,6 +48,13 @@ class Recorder:
     def download(self, window, weights):
         self.calls.append(("download", window, weights.tobytes()))
         self.model = weights
+
+    def windows(self):
+        return self.kept_windows
+
+    def begin(self, window, model):
+        self.calls.append(("begin", window, None if model is None else model.tobytes()))
+        self.model = np.zeros(SHAPE, np.float32) if model is None else model
 
 
 class Client:

@@ -2,7 +2,6 @@
 
 import logging
 import socket
-import time
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from link_helpers import PATIENCE_S, SHAPE, drive, token, updates
 from env.link.door import MAX_NEWCOMERS
 from env.link.errors import LinkError, LinkTimeout, Refused, RobotFailed, RobotLost, ServerLost
 from env.link.frames import decode, encode
-from env.link.messages import Actions, Failure, Hello, Step, Want, Welcome
+from env.link.messages import VERSION, Actions, Failure, Hello, Want, Welcome
 from env.link.messages import Refused as RefusedMessage
 from env.link.server import LinkServer
 
@@ -25,7 +24,7 @@ from env.link.server import LinkServer
         ({"robots": [0], "tokens": ["secret-0"]}, "no client is expected with robot 0"),
         ({"robots": [1, 0]}, "no client is expected with robots 1, 0"),
         ({"robots": [7], "tokens": ["secret-7"]}, "no client is expected with robot 7"),
-        ({"version": 99}, "version 99, the server 1"),
+        ({"version": 99}, f"version 99, the server {VERSION}"),
         ({"fingerprint": "v2"}, "runs 'v2', the server 'v1'"),
     ],
 )
@@ -165,41 +164,41 @@ def test_a_crowd_at_the_door_does_not_keep_clients_out(link):
         sock.close()
 
 
-def test_a_valid_newcomer_replaces_the_old_connection(link):
+def test_a_valid_newcomer_replaces_the_old_connection_before_the_round_begins(link):
     link.admit((0,), (1,))
-    old, other = link.raw().hello((0,)), link.client((1,))
-    link.server.wait_connected(PATIENCE_S)
+    old = link.raw().hello((0,))
     assert decode(old.receive()) == Welcome()
-    new = link.client((0,))
-    drive(link.server, 2)
-    assert new.join() is None
-    assert other.join() is None
+    new = link.raw().hello((0,))
+    assert decode(new.receive()) == Welcome()
+    other = link.client((1,))
+    link.server.wait_connected(PATIENCE_S)
     assert old.at_end()
+    link.server.tell(0, 1, Want.FAREWELL, updates(2, 0))
+    assert decode(new.receive()).want is Want.FAREWELL
+    assert other.join() is None
 
 
-def test_a_replacement_in_the_middle_of_a_tick_gets_the_step_again(link, caplog):
+def test_a_client_that_comes_back_in_the_middle_has_lost_its_place(link, caplog):
+    """It may have missed a step, or its answer may have been lost: it must be sent to a window."""
     caplog.set_level(logging.INFO)
     link.admit((0,), (1,))
     old, other = link.raw().hello((0,)), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
     old.receive()
     link.server.tell(0, 1, Want.ACTIONS, updates(2, 0))
-    step = old.receive()
+    old.receive()
     old.send(encode(Actions(0, np.zeros(1, np.int32)))[:-1])
     new = link.raw().hello((0,))
     assert decode(new.receive()) == Welcome()
-    new.send(Actions(0, np.array([5], np.int32)))
-    assert link.server.actions(0)[0] == 5
-    again = new.receive()
-    assert again == step
-    assert isinstance(decode(again), Step)
+    with pytest.raises(RobotLost, match=r"robot 0 lost at tick 0, .* it has come back"):
+        link.server.actions(0)
     assert old.at_end()
     assert "a new connection of robot 0 replaces the old one" in caplog.text
     link.server.close()
     assert isinstance(other.join(), ServerLost)
 
 
-def test_a_replacement_that_came_before_the_next_step_gets_it(link):
+def test_a_client_that_came_back_between_steps_has_lost_its_place(link):
     link.admit((0,))
     old = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
@@ -210,12 +209,8 @@ def test_a_replacement_that_came_before_the_next_step_gets_it(link):
     link.server.actions(0)
     new = link.raw().hello((0,))
     new.receive()
-    old.close()
-    time.sleep(0.1)
-    link.server.tell(1, 1, Want.ACTIONS, updates(1, 1))
-    assert decode(new.receive()).tick == 1
-    new.send(Actions(1, np.zeros(1, np.int32)))
-    link.server.actions(1)
+    with pytest.raises(RobotLost, match="it has come back"):
+        link.server.tell(1, 1, Want.ACTIONS, updates(1, 1))
 
 
 def test_a_port_in_use_is_one_clear_sentence(link):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from client_app.robots import RobotGroup
+from client_app.state import Keeper
 from conf import Config, robot_network
 from env import actions
 from env.link import LinkServer, ServerLost, Want, serve
@@ -378,12 +378,12 @@ def over_tcp(
     raised: list[BaseException] = []
 
     def client(block: tuple[int, ...]) -> None:
-        group = RobotGroup(config, block)
-        group.download(0, np.stack([first, first]))
+        robots = Keeper(config, block, None)
+        robots.begin(0, np.stack([first, first]))
         tokens = [f"secret-{robot}" for robot in block]
         options = {"fingerprint": "test", "timeout_s": 20.0, "n_parameters": shape[1]}
         try:
-            serve(link.address, block, tokens, group, **options)  # type: ignore[arg-type]
+            serve(link.address, block, tokens, robots, **options)  # type: ignore[arg-type]
         except ServerLost as error:
             raised.append(error)
 

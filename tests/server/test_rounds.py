@@ -24,11 +24,14 @@ from flwr.serverapp import Grid
 from flwr.supercore.task_identity import TaskIdentity
 
 from client_app.app import Order, train
+from client_app.state import Keeper
 from conf import Config, robot_network
 from conf.places import robot_windows, round_folder
 from env.link import LinkError, LinkServer, serve
 from env.seeding import Stream, stream
-from server_app.rounds import FlowerFleet, RoundError, deal, wait_for_nodes
+from server_app.clients import Clients
+from server_app.nodes import RoundError, deal, wait_for_nodes
+from server_app.rounds import FlowerFleet
 
 Tiny = Callable[..., Config]
 Play = Callable[..., Any]
@@ -118,7 +121,10 @@ def make_fleet(
         first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
         initial = np.stack([first, first])
         nodes = wait_for_nodes(cast(Grid, grid), len(grid.nodes), 1.0)
-        return FlowerFleet(config, cast(Grid, grid), open_link(), nodes, initial)
+        link = open_link()
+        fleet = FlowerFleet(config, link, Clients(config, cast(Grid, grid), link, nodes))
+        fleet.begin(0, initial)
+        return fleet
 
     return make
 
@@ -367,7 +373,8 @@ def test_a_client_of_another_build_is_refused(
     def outdated(message: Message, context: Context) -> Message:
         order = Order.read(message.content.config_records["order"])
         given = (order.address, order.robots, order.tokens)
-        serve(*given, cast(Any, None), fingerprint="old", timeout_s=5, n_parameters=1)
+        robots = Keeper(order.config, order.robots, None)
+        serve(*given, robots, fingerprint="old", timeout_s=5, n_parameters=robots.parameters)
         raise AssertionError("it was let in")
 
     with pytest.raises(RoundError, match=r"robot 2 failed: Refused: .*old"):

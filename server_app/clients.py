@@ -1,0 +1,274 @@
+"""The Flower clients of a run: what each is asked and replies, and who takes a lost one's place.
+
+A round is one train message to each client and its reply. The robots of a client are its block; the
+node that holds a block may change while a run waits for one that was lost.
+"""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from flwr.app import Array, ArrayRecord, ConfigRecord, Message, MessageType, RecordDict
+from flwr.serverapp import Grid
+from numpy.typing import NDArray
+
+from conf import Config, robot_network, to_yaml, waits_for_the_lost
+from env.link import LinkServer, RobotLost
+from env.link.errors import named
+from server_app.nodes import Block, RoundError, deal, held_by, placed
+
+log = logging.getLogger(__name__)
+
+TOKEN_BYTES = 32
+TEND_S = 1.0
+SURVEY_S = 60.0
+MOST_FAILURES = 5
+"""Messages to one client that may fail in a row before the run is given up."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opening:
+    """What a train message says of the state in which a round begins.
+
+    Attributes:
+        window: windows played before it, whose checkpoint the robots take; 0 is the run's start.
+        model: the global model that they take then, shape (2, P), or None.
+        resumed: whether the server wants to know which checkpoints they have, and says over the
+            link where they go.
+    """
+
+    window: int
+    model: NDArray[np.float32] | None = None
+    resumed: bool = False
+
+
+class Clients:
+    """All clients of a run.
+
+    Args:
+        config: the run's configuration, with an absolute ``run.dir``.
+        grid: Flower's grid.
+        link: the listening end of the link.
+        nodes: the identity of each client's node; robots are dealt to them in blocks.
+        certificate: of the link, PEM; empty without TLS.
+
+    Attributes:
+        places: the node of each block.
+        replies: of the round, as far as they have come.
+        round: the number of the round that was opened last, from 1.
+        shape: of one robot's weights, (2, P).
+        flower_bytes: bytes of weights in Flower messages, both ways, by block.
+        cpu_s: processor time of each block's clients.
+    """
+
+    def __init__(
+        self, config: Config, grid: Grid, link: LinkServer, nodes: list[int], certificate: str = ""
+    ) -> None:
+        self._config, self._grid, self._link = config, grid, link
+        self._certificate = certificate
+        self._waits = waits_for_the_lost(config)
+        blocks = deal(config.env.robots, len(nodes))
+        self.places: dict[Block, int] = dict(zip(blocks, nodes, strict=True))
+        self.replies: dict[Block, Message] = {}
+        self.round = 0
+        self.shape = (2, robot_network(config).parameters)
+        self.flower_bytes: dict[Block, int] = dict.fromkeys(blocks, 0)
+        self.cpu_s: dict[Block, float] = dict.fromkeys(blocks, 0.0)
+        self._opening = Opening(0)
+        self._tokens: dict[int, str] = {}
+        self._pending: dict[Block, str] = {}
+        self._failures: dict[Block, int] = dict.fromkeys(blocks, 0)
+        self._known: set[int] = set()
+        self._held: dict[int, frozenset[int]] = {}
+        self._tended = 0.0
+
+    def announce(self, opening: Opening) -> None:
+        """Opens a round on the link, and sends a train message to each client that is free.
+
+        One whose last message is still open gets its message once Flower says that it has ended.
+
+        Raises:
+            RoundError: Flower does not take a message.
+        """
+        self.round += 1
+        self._opening, self.replies = opening, {}
+        self._failures = dict.fromkeys(self.places, 0)
+        self._known = set(self._grid.get_node_ids())
+        self._renew(robot for block in self.places for robot in block)
+        self._link.admit(list(self.places), self._tokens, self.shape)
+        self._send([block for block in self.places if block not in self._pending])
+
+    def holders(self) -> dict[Block, int]:
+        """The node of each block by the states that nodes hold, where each has its own.
+
+        Raises:
+            RoundError: some robots' state is on no node.
+        """
+        if self._config.runtime.connection is None:
+            return {}
+        self._held |= held_by(self._grid, self._config, sorted(self._grid.get_node_ids()), SURVEY_S)
+        return placed(list(self.places), self._held)
+
+    def reopen(self, opening: Opening) -> None:
+        """Lets clients that are started anew in this round begin it otherwise."""
+        self._opening = opening
+        self._failures = dict.fromkeys(self.places, 0)
+
+    def collect(self) -> None:
+        """Takes the replies that have come.
+
+        Raises:
+            RoundError: a client failed.
+        """
+        for block, reason in self._collect().items():
+            raise RoundError(self._failure(block, reason))
+
+    def tend(self) -> None:
+        """Once a second, looks after the clients that are not on the link.
+
+        One that has ended is started anew on its node. A node that has gone is replaced by one
+        that has joined; where nodes keep their state to themselves, by one that holds the robots'.
+
+        Raises:
+            RoundError: a client fails again and again.
+        """
+        if time.monotonic() - self._tended < TEND_S:
+            return
+        self._tended = time.monotonic()
+        for block, reason in self._collect().items():
+            self._failures[block] += 1
+            if self._failures[block] > MOST_FAILURES:
+                raise RoundError(self._failure(block, reason))
+            log.warning(self._failure(block, reason))
+        free = self._link.free()
+        online = set(self._grid.get_node_ids()) if free else set()
+        for block in free:
+            node = self._node_for(block, online)
+            if node is not None:
+                self._restart(block, node)
+
+    def missing(self) -> list[Block]:
+        """The clients that have not replied in this round.
+
+        Raises:
+            RobotLost: one has ended without a reply, where the run waits for the lost.
+            RoundError: the same, where it does not.
+        """
+        if not self._waits:
+            self.collect()
+        where = f"at the end of round {self.round}"
+        for block, reason in self._collect().items():
+            raise RobotLost(block, where, reason)
+        waiting = [block for block in self.places if block not in self.replies]
+        if waiting and self._waits:
+            online = set(self._grid.get_node_ids())
+            for block in waiting:
+                if self.places[block] not in online:
+                    raise RobotLost(block, where, "its Flower node has gone")
+        return waiting
+
+    def uploads(self) -> NDArray[np.float32]:
+        """The weights in the replies of all clients, float32, shape (K, 2, P).
+
+        Raises:
+            RoundError: some are not of this type or shape.
+        """
+        result = np.empty((self._config.env.robots, *self.shape), dtype=np.float32)
+        for block, reply in self.replies.items():
+            weights = reply.content.array_records["arrays"]["robots"].numpy()
+            if weights.shape != (len(block), *self.shape) or weights.dtype != np.float32:
+                raise RoundError(
+                    f"round {self.round}: {named(block)} sent {weights.dtype}{weights.shape}"
+                )
+            result[list(block)] = weights
+            self.flower_bytes[block] += weights.nbytes
+            spent = reply.content.metric_records["metrics"]["cpu_s"]
+            self.cpu_s[block] += float(spent)  # type: ignore[arg-type]
+        return result
+
+    # --- Messages ---------------------------------------------------------------------------------
+
+    def _renew(self, robots: Iterable[int]) -> None:
+        self._tokens |= {robot: secrets.token_urlsafe(TOKEN_BYTES) for robot in robots}
+
+    def _send(self, blocks: list[Block]) -> None:
+        """Sends a train message to the client of each block."""
+        messages = [self._train_message(block) for block in blocks]
+        sent = [name for name in self._grid.push_messages(messages) if name]  # None: refused
+        if len(sent) != len(messages):
+            raise RoundError(f"Flower took {len(sent)} of {len(messages)} messages")
+        self._pending |= dict(zip(blocks, sent, strict=True))
+
+    def _train_message(self, block: Block) -> Message:
+        host, port = self._link.address
+        opening, arrays = self._opening, {}
+        if opening.model is not None:
+            arrays["model"] = Array(opening.model)
+            self.flower_bytes[block] += opening.model.nbytes
+        order = ConfigRecord(
+            {
+                "config": to_yaml(self._config),
+                "robots": list(block),
+                "tokens": [self._tokens[robot] for robot in block],
+                "host": host,
+                "port": port,
+                "certificate": self._certificate,
+                "round": self.round,
+                "window": opening.window,
+                "resumed": opening.resumed,
+            }
+        )
+        return Message(
+            content=RecordDict({"arrays": ArrayRecord(arrays), "order": order}),
+            message_type=MessageType.TRAIN,
+            dst_node_id=self.places[block],
+            group_id=str(self.round),
+        )
+
+    def _collect(self) -> dict[Block, str]:
+        """Takes the replies that have come; returns why clients ended without one."""
+        failed: dict[Block, str] = {}
+        block_of = {sent: block for block, sent in self._pending.items()}
+        for reply in self._grid.pull_messages(list(block_of)):
+            block = block_of[reply.metadata.reply_to_message_id]
+            del self._pending[block]
+            if reply.has_error():
+                failed[block] = str(reply.error.reason)
+            else:
+                self.replies[block] = reply
+        return failed
+
+    def _failure(self, block: Block, reason: str) -> str:
+        return f"round {self.round}: the Flower client of {named(block)} failed: {reason}"
+
+    # --- Replacing --------------------------------------------------------------------------------
+
+    def _node_for(self, block: Block, online: set[int]) -> int | None:
+        """The node on which a block's client is to be started anew; None where it is not, or yet."""
+        node = self.places[block]
+        if block not in self._pending and node in online:
+            return node
+        others = online - set(self.places.values())
+        if node in online:  # it may still come, unless one that has just joined is its successor
+            others -= self._known
+        return next((other for other in sorted(others) if self._suits(other, block)), None)
+
+    def _suits(self, node: int, block: Block) -> bool:
+        """Whether a node has what a block's robots go on from."""
+        if self._config.runtime.connection is None or not self._opening.resumed:
+            return True  # all nodes share one folder of checkpoints, or there are none
+        if node not in self._held:
+            self._held |= held_by(self._grid, self._config, [node], SURVEY_S)
+        return set(block) <= self._held[node]
+
+    def _restart(self, block: Block, node: int) -> None:
+        log.info("%s: a client is started on node %d", named(block), node)
+        self._renew(block)
+        self._link.renew(block, self._tokens)
+        self.places[block] = node
+        self._send([block])

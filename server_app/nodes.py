@@ -1,0 +1,126 @@
+"""Which Flower node holds which robots."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from flwr.app import ConfigRecord, Message, MessageType, RecordDict
+from flwr.serverapp import Grid
+
+from conf import Config, to_yaml
+
+Block = tuple[int, ...]
+"""The robots of one client."""
+
+POLL_S = 0.05
+
+
+class RoundError(RuntimeError):
+    """Flower could not do what the run needs; the message says what and where."""
+
+
+def deal(robots: int, clients: int) -> list[Block]:
+    """Deals robots to clients in blocks of neighbours, as even as can be.
+
+    Args:
+        robots: K.
+        clients: 1 to K.
+
+    Returns:
+        The robots of each client.
+    """
+    parts = np.array_split(np.arange(robots), clients)
+    return [tuple(int(robot) for robot in part) for part in parts]
+
+
+def wait_for_nodes(grid: Grid, count: int, deadline_s: float) -> list[int]:
+    """Waits until the federation has enough nodes.
+
+    Returns:
+        The identities of ``count`` of them, in ascending order.
+
+    Raises:
+        RoundError: they did not come in time.
+    """
+    deadline = time.monotonic() + deadline_s
+    while True:
+        nodes = sorted(grid.get_node_ids())
+        if len(nodes) >= count:
+            return nodes[:count]
+        if time.monotonic() > deadline:
+            raise RoundError(
+                f"{len(nodes)} of {count} Flower clients were there after {deadline_s:g} s"
+            )
+        time.sleep(POLL_S)
+
+
+def held_by(
+    grid: Grid, config: Config, nodes: Sequence[int], deadline_s: float
+) -> dict[int, frozenset[int]]:
+    """Asks nodes which robots' state they hold.
+
+    Args:
+        grid: Flower's grid.
+        config: the run's configuration.
+        nodes: whom to ask.
+        deadline_s: the longest wait, in s.
+
+    Returns:
+        The robots of each node; those that did not answer hold none.
+    """
+    asked = [_question(config, node) for node in nodes]
+    pending = dict(zip(grid.push_messages(asked), nodes, strict=True))
+    held: dict[int, frozenset[int]] = dict.fromkeys(nodes, frozenset())
+    deadline = time.monotonic() + deadline_s
+    while pending and time.monotonic() < deadline:
+        for reply in grid.pull_messages(list(pending)):
+            node = pending.pop(reply.metadata.reply_to_message_id)
+            if not reply.has_error():
+                robots = reply.content.config_records["held"]["robots"]
+                held[node] = frozenset(int(robot) for robot in robots)  # type: ignore[union-attr]
+        time.sleep(POLL_S)
+    return held
+
+
+def _question(config: Config, node: int) -> Message:
+    order = ConfigRecord({"config": to_yaml(config)})
+    return Message(
+        content=RecordDict({"order": order}), message_type=MessageType.QUERY, dst_node_id=node
+    )
+
+
+def placed(blocks: Sequence[Block], held: Mapping[int, Iterable[int]]) -> dict[Block, int]:
+    """Gives each block to a node of its own that holds all its robots, by augmenting paths.
+
+    Args:
+        blocks: the robots of each client.
+        held: the robots whose state each node holds.
+
+    Returns:
+        The node of each block.
+
+    Raises:
+        RoundError: some block's robots are on no node that is left for it.
+    """
+    owner: dict[int, Block] = {}
+
+    def place(block: Block, tried: set[int]) -> bool:
+        for node in sorted(held):
+            if node in tried or not set(block) <= set(held[node]):
+                continue
+            tried.add(node)
+            if node not in owner or place(owner[node], tried):
+                owner[node] = block
+                return True
+        return False
+
+    for block in blocks:
+        if not place(block, set()):
+            names = ", ".join(map(str, block))
+            raise RoundError(
+                f"no node holds the checkpoints of robots {names}: is its SuperNode running, with"
+                " the state-dir that it had?"
+            )
+    return {block: node for node, block in owner.items()}
