@@ -16,6 +16,7 @@ usage: risfleet COMMAND ...
   oracle RUN | KEY=VALUE ... what oracles reach, and a run's gap to them
   status RUN                 where a run is
   map [KEY=VALUE ...]        what the RIS gains on a radio map; --out FILE.png draws it
+  keys DIR [options]         makes the certificates and keys of a secured fleet
 
   COMMAND --help             what a command takes; --version prints the version
 
@@ -113,12 +114,19 @@ def _map(arguments: Sequence[str]) -> int:
     return main(arguments)
 
 
+def _keys(arguments: Sequence[str]) -> int:
+    from experiments.keys import main
+
+    return main(arguments)
+
+
 _COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "train": _train,
     "evaluate": _evaluate,
     "oracle": _oracle,
     "status": _status,
     "map": _map,
+    "keys": _keys,
 }
 
 if __name__ == "__main__":

@@ -1,75 +1,129 @@
-"""The certificate of a run's link: self-signed, made when the run starts, kept in memory."""
+"""Certificates: the one that each run's link makes for itself, and the parts of any other."""
 
 from __future__ import annotations
 
 import datetime
 import ipaddress
+import re
+from collections.abc import Sequence
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import ExtendedKeyUsageOID
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-VALID_DAYS = 30
-BACK_DATED_DAYS = 1
+RUN_DAYS = 30
+"""Longer than any run; one that is resumed makes a new certificate."""
+
+BACK_DATED = datetime.timedelta(days=1)
 """A robot whose clock is behind by less than this still takes a certificate made just now."""
+
+_DNS_NAME = re.compile(r"(?=.{1,253}\Z)(?!-)[A-Za-z0-9-]{1,63}(\.(?!-)[A-Za-z0-9-]{1,63})*\.?")
 
 
 def run_certificate(host: str) -> tuple[str, str]:
-    """Make a key and a certificate for the link of one run.
+    """Make a key and a self-signed certificate for the link of one run.
 
-    The certificate is an end: it may sign nothing, so whoever trusts it trusts one key only.
+    The certificate may sign nothing, so whoever trusts it trusts one key only.
 
     Args:
-        host: name or IP address at which the robots find the server; it is named in the
-            certificate.
+        host: name or IP address at which the robots find the server; the certificate names it.
 
     Returns:
         The certificate and its private key (ECDSA, P-256), both as PEM. The key is not encrypted.
+
+    Raises:
+        ValueError: the host is neither a name nor an address.
     """
     key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "RISFleet link")])
+    certificate = certify("RISFleet link", key, days=RUN_DAYS, hosts=[host])
+    return certificate_pem(certificate), key_pem(key)
+
+
+def certify(
+    name: str,
+    key: ec.EllipticCurvePrivateKey,
+    *,
+    days: int,
+    hosts: Sequence[str] = (),
+    issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None = None,
+) -> x509.Certificate:
+    """Make a certificate.
+
+    Args:
+        name: whose it is.
+        key: whose public half it certifies.
+        days: how long it is valid.
+        hosts: names and IP addresses of a server. Without any it is an authority, which may sign
+            servers' certificates.
+        issuer: the authority that signs it; by default it signs itself.
+
+    Raises:
+        ValueError: a host is neither a name nor an address.
+    """
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now = datetime.datetime.now(datetime.UTC)
-    day = datetime.timedelta(days=1)
-    usage = x509.KeyUsage(
-        digital_signature=True,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=False,
-        crl_sign=False,
-        encipher_only=False,
-        decipher_only=False,
+    authority, signing_key = (subject, key) if issuer is None else (issuer[0].subject, issuer[1])
+    identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+    issuer_identifier = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key())
+    depth = None if hosts else 0
+    builder = (
+        x509.CertificateBuilder(authority, subject, key.public_key(), x509.random_serial_number())
+        .not_valid_before(now - BACK_DATED)
+        .not_valid_after(now + datetime.timedelta(days=days))
+        .add_extension(x509.BasicConstraints(ca=not hosts, path_length=depth), critical=True)
+        .add_extension(_usage(signs=not hosts), critical=True)
+        .add_extension(identifier, critical=False)
+        .add_extension(issuer_identifier, critical=False)
     )
-    certificate = (
-        x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
-        .not_valid_before(now - BACK_DATED_DAYS * day)
-        .not_valid_after(now + VALID_DAYS * day)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(usage, critical=True)
-        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), False)
-        .add_extension(x509.SubjectAlternativeName([alternative_name(host)]), False)
-        .sign(key, hashes.SHA256())
-    )
-    private = key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
-    )
-    return certificate.public_bytes(serialization.Encoding.PEM).decode(), private.decode()
+    if hosts:
+        names = x509.SubjectAlternativeName([alternative_name(host) for host in hosts])
+        server = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+        builder = builder.add_extension(names, critical=False).add_extension(server, critical=False)
+    return builder.sign(signing_key, hashes.SHA256())
 
 
 def alternative_name(host: str) -> x509.GeneralName:
     """A host as a certificate names it.
 
     Args:
-        host: an IP address or a name.
+        host: an IP address or a DNS name.
 
     Raises:
-        ValueError: it is neither; a name must be ASCII.
+        ValueError: it is neither.
     """
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
+        if _DNS_NAME.fullmatch(host) is None:
+            raise ValueError(f"{host!r} is neither an IP address nor the name of a host") from None
         return x509.DNSName(host)
+
+
+def certificate_pem(certificate: x509.Certificate) -> str:
+    """A certificate as PEM."""
+    return certificate.public_bytes(serialization.Encoding.PEM).decode()
+
+
+def key_pem(key: ec.EllipticCurvePrivateKey) -> str:
+    """A private key as PEM (PKCS 8), not encrypted."""
+    return key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    ).decode()
+
+
+def _usage(*, signs: bool) -> x509.KeyUsage:
+    """What a key is for: an authority's signs certificates, a server's signs handshakes."""
+    return x509.KeyUsage(
+        digital_signature=not signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        encipher_only=False,
+        decipher_only=False,
+    )
