@@ -12,12 +12,13 @@ from rich.console import Console
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
+from rich.text import Text
 
 from server_app.recorder import MEASURES
 
 POLL_S = 0.5
 LINE_PERIOD_S = 10.0
-RUNNING = ("starting", "training", "finishing")
+RUNNING = ("starting", "training", "waiting", "finishing")
 LABELS = {
     "success": "success",
     "path_ratio": "path ratio",
@@ -155,6 +156,8 @@ class Display:
             if status is not None and (due or status["state"] != shown):
                 shown, printed = status["state"], time.monotonic()
                 line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
+                if status["state"] == "waiting":
+                    line = f"waiting: {status['message']}"
                 self._console.print(line, highlight=False, soft_wrap=True)
             if ended:
                 return
@@ -168,6 +171,8 @@ def _panel(status: dict[str, Any]) -> Table:
     figures.add_row(*(f"[dim]{name or 'state'}[/dim]" for name, _ in columns))
     figures.add_row(*(text for _, text in columns))
     outer.add_row(figures)
+    if status["state"] == "waiting":
+        outer.add_row(Text(str(status["message"])))
     return outer
 
 

@@ -26,7 +26,7 @@ from conf import Config, ConfigError, from_composed, register_schema, to_yaml
 from conf.compose import FOLDER, check_overrides
 from env.link import LinkError
 from env.plugins import PluginError
-from experiments import local, simulation
+from experiments import local, on_flower
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
 from server_app import resume
@@ -39,7 +39,11 @@ ERRORS = (ConfigError, PluginError, FlowerError, LinkError, OSError)
 """What ends a run with a sentence: a mistake, or a machine, disk or network that fails."""
 
 Runtime = Callable[[Config, Path, Checkpoint | None], dict[str, Any]]
-RUNTIMES: dict[str, Runtime] = {"local": local.train, "simulation": simulation.train}
+RUNTIMES: dict[str, Runtime] = {
+    "local": local.train,
+    "simulation": on_flower.train,
+    "deployment": on_flower.train,
+}
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -61,10 +65,10 @@ def main(arguments: Sequence[str]) -> int:
             return _train_all(overrides)
         if resume.asked(overrides):
             config, checkpoint = resume.read(overrides)
-            check_address(config)
+            _check_address(config)
             return train(config, Path(str(config.run.dir)), checkpoint)
         config = checked(overrides)
-        check_address(config)
+        _check_address(config)
         return train(config, new_folder(config))
     except ERRORS as error:
         print(f"risfleet: {error}", file=sys.stderr)
@@ -98,10 +102,19 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
                 (folder / stale).unlink(missing_ok=True)
         with StopOnInterrupt(folder, console) as stop, Display(folder, console):
             summary = RUNTIMES[config.runtime.name](config, folder, resumed)
-    show_summary(console, summary, folder)
+    if summary:
+        show_summary(console, summary, folder)
+    else:
+        console.print("The run has ended; its folder is on the machine of the ServerApp.")
     if stop.asked:
         console.print("Stopped early by Ctrl-C: what was learned until then is in the run folder.")
     return INTERRUPTED if stop.asked else 0
+
+
+def _check_address(config: Config) -> None:
+    """Checks the link's address, unless it is another machine's."""
+    if config.runtime.connection is None:
+        check_address(config)
 
 
 def new_folder(config: Config) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 from experiments.flower.control import ControlError, Status, parse_status
@@ -13,14 +14,22 @@ from experiments.flower.session import Session
 _TIMEOUT_S = 60.0
 
 
-def submit_run(session: Session, clients: int, overrides: str, components: Components) -> int:
-    """Hand a run to the session's SuperLink.
+def submit_run(
+    session: Session,
+    overrides: str,
+    components: Components,
+    *,
+    simulated: int | None = None,
+    connection: str = CONNECTION,
+) -> int:
+    """Hand a run to a SuperLink.
 
     Args:
-        session: with the connection in its folder.
-        clients: simulated nodes, all of which get a process of their own.
+        session: with the connection in its folder, unless the user's own is named.
         overrides: the run's configuration value.
         components: the app's parts.
+        simulated: simulated nodes, all of which get a process of their own; None in a deployment.
+        connection: the name of the connection in Flower's configuration.
 
     Returns:
         The run's number.
@@ -30,19 +39,53 @@ def submit_run(session: Session, clients: int, overrides: str, components: Compo
     """
     app = write_manifest(session.folder / "app", components)
     config = write_run_config(session.folder / "run.toml", overrides)
-    # One CPU a client, and as many CPUs as clients: Ray takes the number on trust.
-    resources = f"client-resources-num-cpus=1 init-args-num-cpus={clients}"
-    federation = f"num-supernodes={clients} {resources}"
-    options = ["--run-config", str(config), "--federation-config", federation]
-    return int(_flwr(session, "run", str(app), CONNECTION, *options)["run-id"])
+    options = ["--run-config", str(config)]
+    if simulated is not None:
+        # One CPU a client, and as many CPUs as clients: Ray takes the number on trust.
+        resources = f"client-resources-num-cpus=1 init-args-num-cpus={simulated}"
+        options += ["--federation-config", f"num-supernodes={simulated} {resources}"]
+    return int(_flwr(session, "run", str(app), connection, *options)["run-id"])
 
 
-def run_status(session: Session, run_id: int) -> Status:
-    """State of a run, at more than a second of CPU.
+def register_node(session: Session, public_key: Path) -> None:
+    """Let a SuperNode with this key join the session's SuperLink.
 
     Args:
         session: with the connection in its folder.
+        public_key: the file of the key.
+
+    Raises:
+        FlowerError: Flower refuses, or does not answer.
+    """
+    _flwr(session, "supernode", "register", str(public_key), CONNECTION)
+
+
+def stop_run(session: Session, run_id: int, connection: str) -> None:
+    """End a run that is going on.
+
+    Raises:
+        FlowerError: Flower refuses, or does not answer.
+    """
+    _flwr(session, "stop", str(run_id), connection)
+
+
+def run_log(session: Session, run_id: int, connection: str) -> str:
+    """What the ServerApp has printed so far.
+
+    Raises:
+        FlowerError: Flower does not answer.
+    """
+    command = [flower_command("flwr"), "log", str(run_id), connection, "--show"]
+    return session.run(command, _TIMEOUT_S)[1]
+
+
+def run_status(session: Session, run_id: int, connection: str = CONNECTION) -> Status:
+    """State of a run, at more than a second of CPU.
+
+    Args:
+        session: with the connection in its folder, unless the user's own is named.
         run_id: the run's number.
+        connection: the name of the connection in Flower's configuration.
 
     Returns:
         The state.
@@ -50,7 +93,7 @@ def run_status(session: Session, run_id: int) -> Status:
     Raises:
         FlowerError: Flower refuses, or does not answer.
     """
-    row = _flwr(session, "list", CONNECTION, "--run-id", str(run_id))["runs"][0]
+    row = _flwr(session, "list", connection, "--run-id", str(run_id))["runs"][0]
     try:
         return parse_status(row["status"], row["status-details"])
     except ControlError as error:

@@ -7,9 +7,11 @@ Flower's Control API without it. They are internal to Flower: the caller falls b
 from __future__ import annotations
 
 import http.client
+import ssl
 from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import Protocol
 
 from experiments.flower.environment import HOST
@@ -55,22 +57,28 @@ def parse_status(status: str, details: str) -> Status:
         raise ControlError(f"unknown status {status!r}") from error
 
 
-def is_healthy(port: int) -> bool:
-    """Whether a SuperLink serves that loopback port."""
+def is_healthy(port: int, authority: Path | None = None) -> bool:
+    """Whether a SuperLink serves that loopback port.
+
+    Args:
+        port: the SuperLink's.
+        authority: the certificate by which it is known, where it speaks TLS.
+    """
     try:
-        with closing(http.client.HTTPConnection(HOST, port, timeout=2)) as connection:
+        with closing(_connection(port, authority, timeout_s=2)) as connection:
             connection.request("GET", "/health")
             return connection.getresponse().status == http.client.OK
     except (OSError, http.client.HTTPException):
         return False
 
 
-def run_status(port: int, run_id: int) -> Status:
+def run_status(port: int, run_id: int, authority: Path | None = None) -> Status:
     """State of a run.
 
     Args:
         port: the SuperLink's.
         run_id: the run's.
+        authority: as in `is_healthy`.
 
     Returns:
         The state.
@@ -81,19 +89,20 @@ def run_status(port: int, run_id: int) -> Status:
     try:
         from flwr.proto.control_pb2 import ListRunsRequest, ListRunsResponse
 
-        body = _post(port, "list-runs", ListRunsRequest(run_id=run_id), _PROTOBUF)
+        body = _post(port, authority, "list-runs", ListRunsRequest(run_id=run_id), _PROTOBUF)
         run = ListRunsResponse.FromString(body).run_dict[run_id].status
     except Exception as error:  # an internal interface may fail in any way
         raise ControlError(str(error)) from error
     return parse_status(run.sub_status or run.status, run.details)
 
 
-def run_log(port: int, run_id: int) -> str:
-    """What the ServerApp and the clients have printed so far.
+def run_log(port: int, run_id: int, authority: Path | None = None) -> str:
+    """What the ServerApp and, in a simulation, the clients have printed so far.
 
     Args:
         port: the SuperLink's.
         run_id: the run's.
+        authority: as in `is_healthy`.
 
     Returns:
         The text, empty where there is none yet.
@@ -104,7 +113,7 @@ def run_log(port: int, run_id: int) -> str:
     try:
         from flwr.proto.control_pb2 import StreamLogsRequest, StreamLogsResponse
 
-        body = _post(port, "stream-logs", StreamLogsRequest(run_id=run_id), _STREAM)
+        body = _post(port, authority, "stream-logs", StreamLogsRequest(run_id=run_id), _STREAM)
         return StreamLogsResponse.FromString(body).log_output if body else ""
     except TimeoutError:
         return ""
@@ -116,10 +125,17 @@ class _Request(Protocol):
     def SerializeToString(self) -> bytes: ...  # noqa: N802 (protobuf's name)
 
 
-def _post(port: int, call: str, request: _Request, accept: str) -> bytes:
+def _connection(port: int, authority: Path | None, timeout_s: float) -> http.client.HTTPConnection:
+    if authority is None:
+        return http.client.HTTPConnection(HOST, port, timeout=timeout_s)
+    context = ssl.create_default_context(cafile=str(authority))
+    return http.client.HTTPSConnection(HOST, port, timeout=timeout_s, context=context)
+
+
+def _post(port: int, authority: Path | None, call: str, request: _Request, accept: str) -> bytes:
     """Send a request; the answer's body, of a stream its first frame."""
     headers = {"content-type": _PROTOBUF, "accept": accept, "accept-encoding": "identity"}
-    with closing(http.client.HTTPConnection(HOST, port, timeout=5)) as connection:
+    with closing(_connection(port, authority, timeout_s=5)) as connection:
         connection.request("POST", f"/v1/control/{call}", request.SerializeToString(), headers)
         response = connection.getresponse()
         if response.status != http.client.OK:

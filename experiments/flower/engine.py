@@ -1,8 +1,18 @@
-"""Whether the simulation engine below a SuperLink lives: Flower itself notices its death late."""
+"""Flower's simulation runtime on this machine, and whether its engine lives.
+
+Flower itself notices its engine's death late.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from experiments.flower.control import RunState, Status
+from experiments.flower.environment import FlowerError
 from experiments.flower.processes import Process, command, identify, members
+from experiments.flower.session import Session
+from experiments.flower.superlink import SuperLink
+from server_app.preflight import max_concurrent_clients
 
 _SIMULATION = "flwr-simulation"
 _CLIENT = "ray::ClientAppActor"
@@ -30,3 +40,52 @@ class Engine:
         commands = [command(row) for row in members(None, [self._superlink])]
         self.running = any(_SIMULATION in text for text in commands)
         self.has_clients |= any(text.startswith(_CLIENT) for text in commands)
+
+
+class SimulationSuperLink(SuperLink):
+    """A SuperLink that runs the app on Flower's simulation engine, with Ray."""
+
+    def __init__(
+        self, *, clients: int = 1, log_path: Path, start_timeout_s: float = 120.0, port: int = 0
+    ) -> None:
+        """Prepare; nothing is started yet.
+
+        Args:
+            clients: Flower clients, all of which run at the same time.
+            log_path: as in `SuperLink`.
+            start_timeout_s: as in `SuperLink`, and again for a run's first client to appear.
+            port: as in `SuperLink`.
+
+        Raises:
+            FlowerError: more clients than can run at once.
+        """
+        super().__init__(log_path=log_path, start_timeout_s=start_timeout_s, port=port)
+        most = max_concurrent_clients()
+        if not 1 <= clients <= most:
+            raise FlowerError(
+                f"federation.clients is {clients}, but Flower's simulation engine runs between 1 "
+                f"and {most} clients at once on this machine (its CPUs + 4, 32 at most)."
+            )
+        self.simulated = clients
+        self._engine: Engine | None = None
+
+    def _options(self, session: Session) -> list[str]:
+        return ["--insecure", "--simulation"]
+
+    def _on_start(self) -> None:
+        self._engine = Engine(self._root())
+
+    def _death(self) -> str:
+        assert self._engine is not None
+        self._engine.look()
+        return "" if self._engine.running else "the simulation's process ended without a word"
+
+    def _require_progress(self, run_id: int, status: Status) -> None:
+        super()._require_progress(run_id, status)
+        late = status.state is RunState.RUNNING and self._waited_s(run_id) > self._start_timeout_s
+        if late and self._engine is not None and not self._engine.has_clients:
+            message = (
+                f"No client process has started within {self._start_timeout_s:.0f} s:"
+                " does Ray work here?"
+            )
+            raise FlowerError(message, self.log_tail(run_id))

@@ -38,6 +38,10 @@ class FlowerError(RuntimeError):
         super().__init__(f"{message}\n{log.rstrip()}" if log.strip() else message)
 
 
+class ProcessLostError(FlowerError):
+    """A process of Flower's ended without a word: killed, or out of memory."""
+
+
 def child_environment(home: Path, marker: str) -> dict[str, str]:
     """Environment of a session's processes: ours, with Flower and Ray turned to the private home.
 

@@ -62,11 +62,20 @@ def write_run_config(path: Path, overrides: str) -> Path:
     return path
 
 
-def write_connection(home: Path, address: str) -> None:
-    """Name an insecure SuperLink on loopback in a Flower home, as its default connection."""
+def write_connection(home: Path, address: str, authority: Path | None = None) -> None:
+    """Name a SuperLink on loopback in a Flower home, as its default connection.
+
+    Args:
+        home: Flower's.
+        address: host and port.
+        authority: the certificate by which the SuperLink is known; None without TLS.
+    """
+    known = "insecure = true"
+    if authority is not None:
+        known = f"root-certificates = {_toml_string(str(authority))}"
     (home / "config.toml").write_text(
         f'[superlink]\ndefault = "{CONNECTION}"\n\n[superlink.{CONNECTION}]\n'
-        f"address = {_toml_string(address)}\ninsecure = true\n",
+        f"address = {_toml_string(address)}\n{known}\n",
         encoding="utf-8",
     )
 

@@ -1,4 +1,4 @@
-"""A private SuperLink that runs the app on Flower's simulation runtime on this machine."""
+"""A private SuperLink on this machine: what the runtimes that start one have in common."""
 
 from __future__ import annotations
 
@@ -10,51 +10,51 @@ from typing import IO, TYPE_CHECKING, Self
 
 from experiments.flower import commands, control
 from experiments.flower.control import ControlError, RunState, Status
-from experiments.flower.engine import Engine
 from experiments.flower.environment import (
     HOST,
     FlowerError,
+    ProcessLostError,
     flower_command,
     free_port,
     port_in_use,
     tail,
 )
 from experiments.flower.manifest import Components, write_connection
+from experiments.flower.processes import Process
 from experiments.flower.session import Session
-from server_app.preflight import max_concurrent_clients
 
 if TYPE_CHECKING:
     import subprocess
-
-__all__ = ["Components", "RunState", "SimulationSuperLink", "Status"]
 
 _PORT_ATTEMPTS = 3
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 
 
-class SimulationSuperLink:
-    """Starts a SuperLink on entry; on exit nothing of it, of Flower or of Ray is left.
+class SuperLink:
+    """Starts a SuperLink on entry; on exit nothing of it and of what it has started is left.
 
     Processes of the app inherit our environment; their working folder is a private one that is
     removed at the end, so every path that they are given must be absolute.
     """
+
+    simulated: int | None = None
+    """Nodes that Flower's simulation engine is to run; None where SuperNodes join."""
 
     def __init__(self, *, log_path: Path, start_timeout_s: float = 120.0, port: int = 0) -> None:
         """Prepare; nothing is started yet.
 
         Args:
             log_path: file that gets the SuperLink's output and, at the end, the runs' own.
-            start_timeout_s: seconds for the SuperLink to answer, and again for a run to start and
-                for its first client process to appear.
+            start_timeout_s: seconds for the SuperLink to answer, and again for a run to start.
             port: TCP port on loopback; 0 takes a free one.
         """
         self._log_path = log_path
         self._start_timeout_s = start_timeout_s
         self._wanted_port = port
         self._port = port
+        self._authority: Path | None = None
         self._session: Session | None = None
         self._superlink: subprocess.Popen[bytes] | None = None
-        self._engine: Engine | None = None
         self._log: IO[bytes] | None = None
         self._log_begin = 0
         self._submitted: dict[int, float] = {}
@@ -74,6 +74,7 @@ class SimulationSuperLink:
             for attempt in range(1, _PORT_ATTEMPTS + 1):
                 if self._start(last=bool(self._wanted_port) or attempt == _PORT_ATTEMPTS):
                     break
+            self._on_start()
         except BaseException:
             self.stop()
             raise
@@ -83,11 +84,10 @@ class SimulationSuperLink:
         """Stop everything."""
         self.stop()
 
-    def submit(self, *, clients: int, overrides: str, components: Components | None = None) -> int:
+    def submit(self, overrides: str, components: Components | None = None) -> int:
         """Hand in a run of the app.
 
         Args:
-            clients: Flower clients, all of which run at the same time.
             overrides: the run's one configuration value.
             components: the app's parts, by default this project's.
 
@@ -95,16 +95,12 @@ class SimulationSuperLink:
             The run's number.
 
         Raises:
-            FlowerError: more clients than can run at once, or Flower refuses.
+            FlowerError: Flower refuses.
         """
         session = self._require_alive()
-        most = max_concurrent_clients()
-        if not 1 <= clients <= most:
-            raise FlowerError(
-                f"federation.clients is {clients}, but Flower's simulation engine runs between 1 "
-                f"and {most} clients at once on this machine (its CPUs + 4, 32 at most)."
-            )
-        run_id = commands.submit_run(session, clients, overrides, components or Components())
+        run_id = commands.submit_run(
+            session, overrides, components or Components(), simulated=self.simulated
+        )
         self._submitted[run_id] = time.monotonic()
         return run_id
 
@@ -115,20 +111,17 @@ class SimulationSuperLink:
             run_id: from `submit`.
 
         Returns:
-            The state; FAILED also where the engine died and Flower has not noticed.
+            The state; FAILED also where what runs it died and Flower has not noticed.
 
         Raises:
-            FlowerError: the SuperLink ended, or the run or its clients did not start in time.
+            FlowerError: the SuperLink ended, or the run did not start in time.
         """
         self._require_alive()
         status = self._ask(run_id)
-        if status.state is RunState.RUNNING and self._engine is not None:
-            self._engine.look()
-            if not self._engine.running:
-                status = self._ask(run_id)  # it may have ended well in between
-                if not status.finished:
-                    reason = "the simulation's process ended without a word (killed?)"
-                    return Status(RunState.FAILED, reason)
+        if status.state is RunState.RUNNING and (death := self._death()):
+            status = self._ask(run_id)  # it may have ended well in between
+            if not status.finished:
+                return Status(RunState.FAILED, death)
         self._require_progress(run_id, status)
         return status
 
@@ -144,7 +137,7 @@ class SimulationSuperLink:
         """
         text = ""
         with suppress(ControlError):
-            text = control.run_log(self._port, run_id)
+            text = control.run_log(self._port, run_id, self._authority)
         return tail(_ANSI.sub("", text), lines) or self._superlink_log(lines)
 
     def stop(self) -> None:
@@ -159,21 +152,37 @@ class SimulationSuperLink:
             if self._log is not None:
                 self._log.close()
 
+    # --- What differs between runtimes ------------------------------------------------------------
+
+    def _options(self, session: Session) -> list[str]:
+        """Of the SuperLink's command, where it listens left out."""
+        raise NotImplementedError
+
+    def _on_start(self) -> None:
+        """The SuperLink answers."""
+
+    def _death(self) -> str:
+        """What keeps a run from ever ending, in words; empty while all is well."""
+        return ""
+
+    # --- The SuperLink's process ------------------------------------------------------------------
+
     def _start(self, *, last: bool) -> bool:
         """Start the SuperLink; False where its port was taken in the meantime."""
         assert self._session is not None
         assert self._log is not None
         self._port = self._wanted_port or free_port()
-        write_connection(self._session.folder, f"{HOST}:{self._port}")
+        options = self._options(self._session)
+        write_connection(self._session.folder, f"{HOST}:{self._port}", self._authority)
         self._log_begin = self._log.seek(0, 2)
         self._superlink = self._session.spawn(
-            [flower_command("flower-superlink"), "--insecure", "--simulation",
+            [flower_command("flower-superlink"), *options,
              "--isolation", "subprocess", "--disable-runtime-dependency-installation",
              "--host", HOST, "--port", str(self._port)],
             self._log,
         )  # fmt: skip
         deadline = time.monotonic() + self._start_timeout_s
-        while not control.is_healthy(self._port):
+        while not control.is_healthy(self._port, self._authority):
             if self._superlink.poll() is not None:
                 if not last and "address already in use" in self._superlink_log():
                     return False
@@ -184,33 +193,36 @@ class SimulationSuperLink:
                 raise FlowerError(message, self._superlink_log())
             time.sleep(0.1)
         self._require_alive()
-        self._engine = Engine(self._session.root(self._superlink))
         return True
+
+    def _root(self) -> Process:
+        """The SuperLink's process."""
+        session = self._require_alive()
+        assert self._superlink is not None
+        return session.root(self._superlink)
 
     def _require_alive(self) -> Session:
         if self._session is None or self._superlink is None:
             raise FlowerError("Flower's SuperLink is not running.")
         if (code := self._superlink.poll()) is not None:
             message = f"Flower's SuperLink ended with status {code}."
-            raise FlowerError(message, self._superlink_log())
+            raise ProcessLostError(message, self._superlink_log())
         return self._session
 
+    def _waited_s(self, run_id: int) -> float:
+        return time.monotonic() - self._submitted.get(run_id, time.monotonic())
+
     def _require_progress(self, run_id: int, status: Status) -> None:
-        waited = time.monotonic() - self._submitted.get(run_id, time.monotonic())
-        if status.finished or waited <= self._start_timeout_s:
-            return
-        seconds = f"{self._start_timeout_s:.0f} s"
-        if status.state is not RunState.RUNNING:
+        pending = not status.finished and status.state is not RunState.RUNNING
+        if pending and self._waited_s(run_id) > self._start_timeout_s:
+            seconds = f"{self._start_timeout_s:.0f} s"
             message = f"The run is still {status.state} {seconds} after it was handed to Flower."
             raise FlowerError(message, self._superlink_log())
-        if self._engine is not None and not self._engine.has_clients:
-            message = f"No client process has started within {seconds}: does Ray work here?"
-            raise FlowerError(message, self.log_tail(run_id))
 
     def _ask(self, run_id: int) -> Status:
         session = self._require_alive()
         try:
-            return control.run_status(self._port, run_id)
+            return control.run_status(self._port, run_id, self._authority)
         except ControlError:
             return commands.run_status(session, run_id)
 
@@ -227,5 +239,5 @@ class SimulationSuperLink:
             return
         for run_id in self._submitted:
             with suppress(ControlError):
-                text = _ANSI.sub("", control.run_log(self._port, run_id))
+                text = _ANSI.sub("", control.run_log(self._port, run_id, self._authority))
                 self._log.write(f"\n--- Run {run_id} ---\n{text}".encode())

@@ -1,0 +1,149 @@
+"""Flower's deployment runtime on loopback: a SuperLink and SuperNodes, started and looked after."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.flower import commands
+from experiments.flower.environment import (
+    HOST,
+    FlowerError,
+    ProcessLostError,
+    flower_command,
+    free_port,
+)
+from experiments.flower.keys import FleetKeys, NodeKeys, add_nodes, make_keys
+from experiments.flower.processes import Process, command, members, terminate
+from experiments.flower.session import Session
+from experiments.flower.superlink import SuperLink
+
+_SERVER_APP = "flwr-serverapp"
+_EXECUTOR = "flower-superexec"
+_MOST_RESTARTS = 5
+_STEADY_S = 60.0
+"""A SuperNode that lived this long is not one that cannot live."""
+
+
+@dataclass
+class _Node:
+    """A SuperNode.
+
+    Attributes:
+        number: from 0.
+        process: of the SuperNode itself.
+        root: the same, as `processes` knows it.
+        began: when it was started, monotonic, in s.
+        restarts: in a row, none of which lived long.
+        complete: whether the process that starts its clients has been seen.
+    """
+
+    number: int
+    process: subprocess.Popen[bytes]
+    root: Process
+    began: float
+    restarts: int = 0
+    complete: bool = False
+
+
+class Federation(SuperLink):
+    """A SuperLink that SuperNodes join, all on this machine."""
+
+    def __init__(
+        self,
+        *,
+        nodes: int,
+        secure: bool = False,
+        revive: bool = True,
+        log_path: Path,
+        start_timeout_s: float = 120.0,
+        port: int = 0,
+    ) -> None:
+        """Prepare; nothing is started yet.
+
+        Args:
+            nodes: SuperNodes.
+            secure: whether the SuperLink has a certificate, and SuperNodes keys that it knows.
+            revive: whether a SuperNode that has died is started anew.
+            log_path: file that gets everybody's output.
+            start_timeout_s: as in `SuperLink`.
+            port: as in `SuperLink`.
+        """
+        super().__init__(log_path=log_path, start_timeout_s=start_timeout_s, port=port)
+        self._count, self._secure, self._revive = nodes, secure, revive
+        self._keys: FleetKeys | None = None
+        self._spare: list[NodeKeys] = []
+        self._nodes: list[_Node] = []
+        self._has_server_app = False
+
+    def _options(self, session: Session) -> list[str]:
+        if not self._secure:
+            return ["--insecure"]
+        if self._keys is None:
+            self._keys = make_keys(session.folder / "keys", [HOST], self._count)
+            self._authority, self._spare = self._keys.authority, list(self._keys.nodes)
+        return self._keys.options()
+
+    def _on_start(self) -> None:
+        self._nodes = [self._started(number) for number in range(self._count)]
+
+    def _death(self) -> str:
+        """Looks after the SuperNodes and says whether the ServerApp has died.
+
+        Raises:
+            ProcessLostError: a SuperNode has died and is not to be started anew.
+            FlowerError: one dies again and again.
+        """
+        for node in self._nodes:
+            self._look_after(node)
+        below = [command(row) for row in members(None, [self._root()])]
+        running = any(_SERVER_APP in text for text in below)
+        died, self._has_server_app = self._has_server_app and not running, running
+        return "the ServerApp's process ended without a word" if died else ""
+
+    def _look_after(self, node: _Node) -> None:
+        """Starts a SuperNode anew that has died, or cannot start clients any more."""
+        code = node.process.poll()
+        executor = any(_EXECUTOR in command(row) for row in members(None, [node.root]))
+        crippled = node.complete and not executor
+        node.complete |= executor
+        if code is None and not crippled:
+            return
+        what = f"ended with status {code}" if code is not None else f"lost its {_EXECUTOR}"
+        if not self._revive:
+            raise ProcessLostError(f"SuperNode {node.number} {what}.", self._superlink_log())
+        lived_s = time.monotonic() - node.began
+        node.restarts = 0 if lived_s > _STEADY_S else node.restarts + 1
+        if node.restarts > _MOST_RESTARTS:
+            raise FlowerError(f"SuperNode {node.number} {what} again and again.")
+        terminate(None, [node.root])
+        fresh = self._started(node.number)
+        fresh.restarts = node.restarts
+        self._nodes[node.number] = fresh
+
+    def _started(self, number: int) -> _Node:
+        """Starts a SuperNode, with a key that no other one has had."""
+        session = self._require_alive()
+        assert self._log is not None
+        process = session.spawn(
+            [flower_command("flower-supernode"),
+             "--superlink", f"{HOST}:{self._port}", "--port", str(free_port()),
+             "--node-config", f"partition-id={number} num-partitions={self._count}",
+             *self._identity(session)],
+            self._log,
+        )  # fmt: skip
+        return _Node(number, process, session.root(process), time.monotonic())
+
+    def _identity(self, session: Session) -> list[str]:
+        """Options by which a SuperNode is known.
+
+        The SuperLink takes a key's node for online up to a minute after its death, and lets nobody
+        else join with the same key meanwhile.
+        """
+        if self._keys is None:
+            return ["--insecure"]
+        key = self._spare.pop(0) if self._spare else add_nodes(self._keys.folder, 1)[0]
+        commands.register_node(session, key.public)
+        return key.options()
