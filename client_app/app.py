@@ -40,7 +40,6 @@ class Order:
         window: the windows that have been played before this round.
         round: the round's number.
         certificate: of the link's server, PEM; empty without TLS.
-        resumed: whether the run goes on from checkpoints, of which the server wants to know.
     """
 
     config: Config
@@ -50,7 +49,6 @@ class Order:
     window: int
     round: int = 1
     certificate: str = ""
-    resumed: bool = False
 
     @classmethod
     def read(cls, record: ConfigRecord) -> Order:
@@ -63,7 +61,6 @@ class Order:
             window=int(record["window"]),  # type: ignore[arg-type]
             round=int(record["round"]),  # type: ignore[arg-type]
             certificate=str(record["certificate"]),
-            resumed=bool(record["resumed"]),
         )
 
 
@@ -77,7 +74,7 @@ def train(message: Message, context: Context) -> Message:
     folder = state_folder(order.config, context.node_config)
     with (
         log_lines(order.config.run.id, order.round, order.robots),
-        closing(Keeper(order.config, order.robots, folder, verify=order.resumed)) as keeper,
+        closing(Keeper(order.config, order.robots, folder)) as keeper,
     ):
         keeper.begin(order.window, None if model is None else model.numpy())
         _serve(order, keeper)

@@ -25,16 +25,13 @@ class Keeper:
         config: the run's configuration.
         robots: which robots these are.
         state: the folder of checkpoints on this machine; None writes none.
-        verify: whether to look into the checkpoints before the server is told of them.
 
     Attributes:
         parameters: P, of one network.
     """
 
-    def __init__(
-        self, config: Config, robots: Sequence[int], state: Path | None, *, verify: bool = False
-    ) -> None:
-        self._config, self._state, self._verify = config, state, verify
+    def __init__(self, config: Config, robots: Sequence[int], state: Path | None) -> None:
+        self._config, self._state = config, state
         self._group = RobotGroup(config, robots)
         self.parameters = self._group.parameters
         self._writer = Writer()
@@ -62,10 +59,7 @@ class Keeper:
         robots = self._group.robots
         places = [robot_windows(self._state, robot) for robot in robots]
         common = sorted(set(places[0]).intersection(*places[1:]))
-        if self._verify:
-            common = [w for w in common if all(_is_whole(place[w], w) for place in places)]
-        self._verify = True  # whoever comes back is to be sent to one of them
-        return common
+        return [w for w in common if all(_is_whole(place[w], w) for place in places)]
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See ``Robots.begin``.

@@ -38,8 +38,7 @@ class Opening:
     Attributes:
         window: windows played before it, whose checkpoint the robots take; 0 is the run's start.
         model: the global model that they take then, shape (2, P), or None.
-        resumed: whether the server wants to know which checkpoints they have, and says over the
-            link where they go.
+        resumed: whether they are to go on from checkpoints, which the link will say.
     """
 
     window: int
@@ -220,7 +219,6 @@ class Clients:
                 "certificate": self._certificate,
                 "round": self.round,
                 "window": opening.window,
-                "resumed": opening.resumed,
             }
         )
         return Message(
@@ -249,7 +247,7 @@ class Clients:
     # --- Replacing --------------------------------------------------------------------------------
 
     def _node_for(self, block: Block, online: set[int]) -> int | None:
-        """The node on which a block's client is to be started anew; None where it is not, or yet."""
+        """The node on which a block's client is to be started anew; None where none is, or not yet"""
         node = self.places[block]
         if block not in self._pending and node in online:
             return node

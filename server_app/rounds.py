@@ -144,7 +144,7 @@ class FlowerFleet:
         while True:
             try:
                 self._link.wait_connected(deadline - time.monotonic(), self._clients.tend)
-                return self._link.common_windows()
+                return self._link.halt()
             except RobotLost as loss:
                 log.warning("%s, while others were awaited", loss)
 

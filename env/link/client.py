@@ -24,6 +24,7 @@ from env.link.messages import (
     Actions,
     Begin,
     Failure,
+    Halt,
     Hello,
     Message,
     Ready,
@@ -77,7 +78,7 @@ def serve(
     sock = _connected(address, timeout_s, client_context)
     while True:
         try:
-            line = _entered(sock, handler, robots, tokens, fingerprint, timeout_s, n_parameters)
+            line = _entered(sock, robots, tokens, fingerprint, timeout_s, n_parameters)
             line.wait_up_to(timeout_s if patience_s is None else patience_s)
             _attend(line, handler, len(robots), n_parameters)
             return
@@ -92,7 +93,6 @@ def serve(
 
 def _entered(
     sock: socket.socket,
-    handler: Robots,
     robots: Sequence[int],
     tokens: Sequence[str],
     fingerprint: str,
@@ -100,7 +100,7 @@ def _entered(
     n_parameters: int,
 ) -> _Line:
     """Say hello and hear the welcome."""
-    hello = Hello(VERSION, fingerprint, list(robots), list(tokens), list(handler.windows()))
+    hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
     limit = max(TEXT_SIZE, step_size(len(robots)), weights_size((2, n_parameters)))
     line = _Line(Wire(sock, limit), timeout_s)
     line.wait_up_to(timeout_s)
@@ -177,6 +177,9 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
             weights = checked_weights(message.weights, (2, n_parameters))
             handler.download(message.window, weights)
             uploaded = -1
+        elif isinstance(message, Halt):
+            uploaded = -1
+            line.say(encode(Ready(message.number, tuple(handler.windows()))))
         elif isinstance(message, Begin):
             model = message.model
             if model is not None:

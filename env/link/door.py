@@ -57,7 +57,6 @@ class Arrival:
     admission: Admission
     block: tuple[int, ...]
     sock: socket.socket
-    windows: frozenset[int]
 
 
 class Newcomer:
@@ -181,8 +180,7 @@ class Door(threading.Thread):
             return
         newcomer.wire.send(encode(Welcome()), 0.0)
         self._forget(newcomer)
-        block, windows = tuple(hello.robots), frozenset(hello.windows)
-        self.arrivals.append(Arrival(admission, block, newcomer.sock, windows))
+        self.arrivals.append(Arrival(admission, tuple(hello.robots), newcomer.sock))
         with contextlib.suppress(BlockingIOError):
             self._button.send(b"x")
 

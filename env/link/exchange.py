@@ -28,7 +28,7 @@ from env.link.errors import (
 from env.link.frames import decode, encode
 from env.link.interface import Turn
 from env.link.layout import Kind
-from env.link.messages import Begin, Failure, Ready
+from env.link.messages import Begin, Failure, Halt, Ready
 from env.link.seats import Seat
 from env.link.wire import Wire
 
@@ -63,7 +63,7 @@ class Exchange:
         self._poll = select.poll()
         self._poll.register(bell, select.POLLIN)
         self._filling = True
-        self._beginnings = 0
+        self._orders = 0
 
     def fill(self, deadline_s: float, poll: Callable[[], None] | None) -> None:
         """Wait until every seat is taken, calling `poll` at least five times a second."""
@@ -96,13 +96,31 @@ class Exchange:
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """Send all clients to a window, and wait until they are there."""
-        self._beginnings += 1
         self.turn = Turn()
-        frame = encode(Begin(self._beginnings, window, model))
+        self._order(Begin(self._orders + 1, window, model))
+
+    def halt(self) -> list[int]:
+        """Make all clients drop what is under way; returns the checkpoints that all have."""
+        self.turn = Turn()
+        windows = self._order(Halt(self._orders + 1))
+        return sorted(frozenset.intersection(*windows))
+
+    def _order(self, order: Halt | Begin) -> list[frozenset[int]]:
+        """Send all clients an order that ends what is under way; returns what their `Ready` say."""
+        self._orders = order.number
+        frame = encode(order)
         for seat in self.seats.values():
             seat.stale = True
             self.send(seat, frame, awaited=True)
-        self.gather(lambda seat, frame: None)
+        windows: list[frozenset[int]] = []
+
+        def accept(seat: Seat, frame: memoryview) -> None:
+            ready = decode(frame)
+            assert isinstance(ready, Ready)
+            windows.append(frozenset(ready.windows))
+
+        self.gather(accept)
+        return windows
 
     def send(self, seat: Seat, frame: bytes, awaited: bool) -> None:
         """Send a frame to a client; `awaited` says whether an answer is due."""
@@ -196,7 +214,7 @@ class Exchange:
         if frame[5] == Kind.FAILURE:
             return True
         message = decode(frame)
-        seat.stale = not (isinstance(message, Ready) and message.number == self._beginnings)
+        seat.stale = not (isinstance(message, Ready) and message.number == self._orders)
         return not seat.stale
 
     def _recover(self, seat: Seat, wire: Wire, error: OSError | EOFError) -> None:
@@ -229,7 +247,7 @@ class Exchange:
             if seat.wire is not None:
                 log.warning("a new connection of %s replaces the old one", named(seat.block))
                 self._drop(seat)
-            seat.wire, seat.windows = Wire(arrival.sock, seat.limit), arrival.windows
+            seat.wire = Wire(arrival.sock, seat.limit)
             seat.awaited = seat.stale = False
             self._seat_of[seat.wire.fileno()] = seat
             self._poll.register(seat.wire, select.POLLIN)

@@ -20,12 +20,15 @@ from env.link.layout import (
     ACTIONS,
     BEGIN,
     BODY_LIMITS,
+    HALT,
     HEADER,
     MAGIC,
+    MOST_WINDOWS,
     READY,
     RECORD,
     STEP,
     WEIGHTS,
+    WINDOW,
     Kind,
     frame_size,
 )
@@ -37,6 +40,7 @@ from env.link.messages import (
     Begin,
     Failure,
     Flag,
+    Halt,
     Hello,
     Message,
     Ready,
@@ -116,12 +120,14 @@ def _encode_begin(begin: Begin) -> bytes:
     return _framed(Kind.BEGIN, BEGIN.pack(begin.number, begin.window, *model.shape), model.data)
 
 
+def _encode_ready(ready: Ready) -> bytes:
+    windows = np.array(ready.windows[-MOST_WINDOWS:], WINDOW)
+    return _framed(Kind.READY, READY.pack(ready.number, len(windows)), windows.tobytes())
+
+
 def _encode_hello(hello: Hello) -> bytes:
-    fields = {name: getattr(hello, name) for name in _HELLO}
+    fields = {name: getattr(hello, name) for name in ("version", "fingerprint", "robots", "tokens")}
     return _framed(Kind.HELLO, json.dumps(fields).encode())
-
-
-_HELLO = ("version", "fingerprint", "robots", "tokens", "windows")
 
 
 _ENCODERS: dict[type, Callable[[Any], bytes]] = {
@@ -131,7 +137,8 @@ _ENCODERS: dict[type, Callable[[Any], bytes]] = {
     Hello: _encode_hello,
     Welcome: lambda m: _framed(Kind.WELCOME, json.dumps({"version": m.version}).encode()),
     Begin: _encode_begin,
-    Ready: lambda m: _framed(Kind.READY, READY.pack(m.number)),
+    Ready: _encode_ready,
+    Halt: lambda m: _framed(Kind.HALT, HALT.pack(m.number)),
     Refused: lambda m: _framed(Kind.REFUSED, one_line(m.reason).encode()),
     Failure: lambda m: _framed(Kind.FAILURE, one_line(m.reason).encode()),
 }
@@ -211,9 +218,16 @@ def _decode_begin(body: memoryview) -> Begin:
 
 
 def _decode_ready(body: memoryview) -> Ready:
-    if len(body) != READY.size:
+    number, count = READY.unpack_from(body)
+    if len(body) != READY.size + count * WINDOW.itemsize:
+        raise ValueError(f"{len(body)} bytes are not {count} windows")
+    return Ready(number, tuple(np.frombuffer(body, WINDOW, count, READY.size).tolist()))
+
+
+def _decode_halt(body: memoryview) -> Halt:
+    if len(body) != HALT.size:
         raise ValueError(f"{len(body)} bytes")
-    return Ready(*READY.unpack(body))
+    return Halt(*HALT.unpack(body))
 
 
 def _number(value: object, limit: int) -> int:
@@ -228,8 +242,8 @@ def _text(value: object, limit: int) -> str:
     return value
 
 
-def _many(value: object, least: int = 1) -> list[object]:
-    if not isinstance(value, list) or not least <= len(value) <= MAX_ROBOTS:
+def _many(value: object) -> list[object]:
+    if not isinstance(value, list) or not 1 <= len(value) <= MAX_ROBOTS:
         raise ValueError("a list is missing, empty or too long")
     return value
 
@@ -248,7 +262,6 @@ def _decode_hello(body: memoryview) -> Hello:
         fingerprint=_text(fields.get("fingerprint"), TEXT_LIMIT),
         robots=[_number(robot, MAX_ROBOTS) for robot in _many(fields.get("robots"))],
         tokens=[_text(token, 256) for token in _many(fields.get("tokens"))],
-        windows=[_number(window, 2**32) for window in _many(fields.get("windows", []), least=0)],
     )
 
 
@@ -262,4 +275,5 @@ _DECODERS: dict[int, Callable[[memoryview], Message]] = {
     Kind.WEIGHTS: _decode_weights,
     Kind.BEGIN: _decode_begin,
     Kind.READY: _decode_ready,
+    Kind.HALT: _decode_halt,
 }

@@ -4,6 +4,8 @@ import math
 import struct
 from enum import IntEnum
 
+import numpy as np
+
 from env.link.errors import TEXT_LIMIT, FrameError
 from env.link.messages import MAX_ROBOTS, UPDATE, VERSION
 
@@ -13,7 +15,10 @@ STEP = struct.Struct("<QIBxH")
 ACTIONS = struct.Struct("<QI")
 WEIGHTS = struct.Struct("<IB3xIII")
 BEGIN = struct.Struct("<IIII")
-READY = struct.Struct("<I")
+HALT = struct.Struct("<I")
+READY = struct.Struct("<IH")
+WINDOW = np.dtype("<u4")
+MOST_WINDOWS = 256
 RECORD = UPDATE.itemsize
 
 
@@ -29,6 +34,7 @@ class Kind(IntEnum):
     WEIGHTS = 7
     BEGIN = 8
     READY = 9
+    HALT = 10
 
 
 TEXT_SIZE = HEADER.size + 4 * TEXT_LIMIT
@@ -42,7 +48,8 @@ BODY_LIMITS = {
     Kind.ACTIONS: ACTIONS.size + MAX_ROBOTS * 4,
     Kind.WEIGHTS: WEIGHTS.size + 2**30,
     Kind.BEGIN: BEGIN.size + 2**30,
-    Kind.READY: READY.size,
+    Kind.READY: READY.size + MOST_WINDOWS * WINDOW.itemsize,
+    Kind.HALT: HALT.size,
 }
 
 

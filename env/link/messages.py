@@ -2,20 +2,22 @@
 
 | message | from | carries | answer |
 |---|---|---|---|
-| `Hello` | client | version, fingerprint, robots, tokens, checkpoints | `Welcome` or `Refused` |
-| `Begin` | server | a window to go back to, and its global model | `Ready` |
+| `Hello` | client | version, fingerprint, robots, a token for each | `Welcome` or `Refused` |
+| `Halt` | server | nothing: whatever was under way is over | `Ready` |
+| `Begin` | server | a window to go to, and its global model | `Ready` |
+| `Ready` | client | the windows of which its robots have checkpoints | none |
 | `Step` | server | outcome of a tick, observation of the next, what is wanted | see `Want` |
 | `Actions` | client | an action for each robot, -1 where it is not driving | the next `Step` |
 | `Weights` | client | upload: (n, 2, P), online then target, of each robot | `Weights` or `Step` |
 | `Weights` | server | download: (2, P), the global model | none; a `Step` follows |
 | `Failure` | either | one line: why this side stops | none |
 
-`Begin` may come at any time. What the client sent before it counts no more: the server drops all
-up to the `Ready` that has the `Begin`'s number.
+`Halt` and `Begin` may come at any time. What the client sent before them counts no more: the server
+drops all up to the `Ready` that has their number.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 import numpy as np
@@ -93,8 +95,6 @@ class Hello:
     fingerprint: str
     robots: list[int]
     tokens: list[str]
-    windows: list[int] = field(default_factory=list)
-    """Windows of which all these robots have a checkpoint."""
 
     def __repr__(self) -> str:
         """Without the tokens, which no log may hold."""
@@ -106,6 +106,13 @@ class Welcome:
     """The client is in."""
 
     version: int = VERSION
+
+
+@dataclass(frozen=True, slots=True)
+class Halt:
+    """Drop what is under way, and say which checkpoints there are."""
+
+    number: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,9 +129,11 @@ class Begin:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The client is where the `Begin` of this number says."""
+    """The client has done what the `Halt` or `Begin` of this number says."""
 
     number: int
+    windows: tuple[int, ...] = ()
+    """After a `Halt`: windows of which all its robots have a checkpoint, whole and unchanged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +150,7 @@ class Failure:
     reason: str
 
 
-Message = Step | Actions | Weights | Hello | Welcome | Begin | Ready | Refused | Failure
+Message = Step | Actions | Weights | Hello | Welcome | Halt | Begin | Ready | Refused | Failure
 
 
 def robot_count(blocks: Sequence[Sequence[int]]) -> int:

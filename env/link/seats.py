@@ -33,8 +33,7 @@ class Seat:
         self.stats = stats
         self.wire: Wire | None = None
         self.awaited = False
-        self.stale = False  # what comes belongs to what was before the last `Begin`
-        self.windows: frozenset[int] = frozenset()
+        self.stale = False  # what comes is older than the last `Halt` or `Begin`
 
     def records(self, fleet: bytes) -> bytes:
         """This seat's part of the bytes of all robots' UPDATE records."""

@@ -120,10 +120,16 @@ class LinkServer:
         """Let a block's robots in with these tokens only: a client that has older ones is out."""
         self._open.renew(block, tokens)
 
-    def common_windows(self) -> list[int]:
-        """Windows, ascending, of which all robots said on arrival that they have a checkpoint."""
-        seats = list(self._open.seats.values())
-        return sorted(frozenset.intersection(*(seat.windows for seat in seats)))
+    def halt(self) -> list[int]:
+        """Make all clients drop what is under way, once they are connected.
+
+        Returns:
+            The windows, ascending, of which all robots have a checkpoint.
+
+        Raises:
+            RobotLost, RobotFailed, LinkTimeout: one is gone, or does not answer.
+        """
+        return self._open.halt()
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`; once all clients are connected, whatever was under way."""

@@ -210,9 +210,8 @@ def test_an_order_is_read_as_it_was_written(tiny: Tiny) -> None:
             "window": 20,
             "round": 3,
             "certificate": "PEM",
-            "resumed": True,
         }
     )
     order = Order.read(record)
     address = ("127.0.0.1", 4711)
-    assert order == Order(config, (1, 2), ["a", "b"], address, 20, 3, "PEM", True)
+    assert order == Order(config, (1, 2), ["a", "b"], address, 20, 3, "PEM")

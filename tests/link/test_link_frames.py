@@ -168,7 +168,8 @@ def test_the_limit_before_the_hello_is_small_and_holds_the_largest_hello():
         framed(Kind.BEGIN, struct.pack("<IIII", 1, 20, 0, 7)),
         framed(Kind.BEGIN, struct.pack("<III", 1, 20, 0)),
         framed(Kind.READY, b"\0\0\0"),
-        framed(Kind.READY, bytes(3), length=3),
+        framed(Kind.READY, struct.pack("<IH", 1, 2) + bytes(4)),
+        framed(Kind.HALT, bytes(5)),
         framed(Kind.REFUSED, b"\xff\xfe"),
     ],
 )

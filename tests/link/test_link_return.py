@@ -16,7 +16,7 @@ from env.link.errors import (
     ServerLost,
 )
 from env.link.frames import decode, encode
-from env.link.messages import Actions, Begin, Ready, Want, Weights, Welcome
+from env.link.messages import Actions, Begin, Halt, Ready, Want, Weights, Welcome
 
 MODEL = np.arange(22, dtype=np.float32).reshape(SHAPE)
 
@@ -79,7 +79,7 @@ def test_answers_from_before_are_dropped_and_never_taken_for_new_ones(link):
         link.server.actions(5)
     survivor.send(Actions(5, np.array([3], np.int32)))
     assert link.server.free() == [(1,)]
-    back = link.raw().hello((1,), windows=[20])
+    back = link.raw().hello((1,))
     link.server.wait_connected(PATIENCE_S)
     back.receive()
     beginning = threading.Thread(target=link.server.begin, args=(20, MODEL))
@@ -109,19 +109,20 @@ def test_the_ready_of_an_earlier_beginning_does_not_count(make_link):
         link.server.begin(3, None)
 
 
-def test_the_server_knows_the_windows_that_all_have(link):
-    link.admit((0,), (1,))
-    raws = [link.raw().hello((0,), windows=[20, 40, 60]), link.raw().hello((1,), windows=[40, 60])]
-    link.server.wait_connected(PATIENCE_S)
-    assert link.server.common_windows() == [40, 60]
-    for raw in raws:
-        raw.close()
+def test_the_server_knows_the_windows_that_all_have_now(link):
+    clients = link.connected((0,), (1,))
+    ask(link.server, 2, 0)
+    clients[0].handler.kept_windows = [20, 40, 60]
+    clients[1].handler.kept_windows = [40, 60, 80]
+    assert link.server.halt() == [40, 60]
+    link.server.begin(60, MODEL)
+    drive(link.server, 2)
+    assert [client.join() for client in clients] == [None, None]
 
 
 def test_a_client_comes_back_by_itself_when_its_connection_breaks(link):
     link.admit((0,), (1,))
     cut, other = link.client((0,), return_s=PATIENCE_S), link.client((1,))
-    cut.handler.kept_windows = [4]
     link.server.wait_connected(PATIENCE_S)
     ask(link.server, 2, 0)
     seat = link.server._open.seats[(0,)]
@@ -191,3 +192,5 @@ def test_frames_of_a_beginning_hold_what_they_were_made_of():
         assert (begin.number, begin.window) == (3, 40)
         assert (begin.model is None) if model is None else (begin.model == model).all()
     assert decode(encode(Ready(9))) == Ready(9)
+    assert decode(encode(Ready(9, (20, 40)))) == Ready(9, (20, 40))
+    assert decode(encode(Halt(7))) == Halt(7)
