@@ -247,7 +247,7 @@ class Clients:
     # --- Replacing --------------------------------------------------------------------------------
 
     def _node_for(self, block: Block, online: set[int]) -> int | None:
-        """The node on which a block's client is to be started anew; None where none is, or not yet"""
+        """The node on which to start a block's client anew; None where none is, or not yet."""
         node = self.places[block]
         if block not in self._pending and node in online:
             return node

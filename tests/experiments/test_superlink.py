@@ -271,10 +271,10 @@ def test_the_limit_of_clients_is_that_of_a_default_thread_pool() -> None:
 
 
 @pytest.mark.parametrize("excess", [True, False])
-def test_too_many_or_no_clients_are_refused(healthy: SimulationSuperLink, excess: bool) -> None:
+def test_too_many_or_no_clients_are_refused(tmp_path: Path, excess: bool) -> None:
     clients = max_concurrent_clients() + 1 if excess else 0
     with pytest.raises(FlowerError, match=f"federation.clients is {clients}"):
-        healthy.submit(clients=clients, overrides="")
+        SimulationSuperLink(clients=clients, log_path=tmp_path / "log")
 
 
 def test_flowers_own_reason_is_shown_when_it_refuses_a_run(
@@ -282,7 +282,7 @@ def test_flowers_own_reason_is_shown_when_it_refuses_a_run(
 ) -> None:
     fake("flwr", """print('{"success": false, "error-message": "no such module"}')""")
     with pytest.raises(FlowerError, match=r"`flwr run` failed\.\nno such module"):
-        healthy.submit(clients=1, overrides="")
+        healthy.submit("")
 
 
 @pytest.mark.parametrize("text", ["", "a=1 'b=[2, \"x\"]'", "d=C:\\runs\n\t\x7f\x01", "ü 🤖"])
@@ -388,11 +388,11 @@ def test_a_run_reaches_its_clients_and_leaves_nothing_behind(
     (code / "tiny_client.py").write_text(CLIENT)
     monkeypatch.setenv("PYTHONPATH", str(code))
     monkeypatch.chdir(tmp_path)
-    with SimulationSuperLink(log_path=tmp_path / "run" / "flower.log") as launcher:
+    with SimulationSuperLink(clients=2, log_path=tmp_path / "run" / "flower.log") as launcher:
         assert launcher._session is not None
         marker, folder = launcher._session.marker, launcher._session.folder
         parts = Components("tiny_server:app", "tiny_client:app")
-        run = launcher.submit(clients=2, overrides="a='b c'", components=parts)
+        run = launcher.submit("a='b c'", parts)
         wait_until(lambda: launcher.status(run).finished)
         assert launcher.status(run) == Status(RunState.COMPLETED)
         assert "2 clients answered, told: a='b c'" in launcher.log_tail(run)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import threading
-import uuid
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from fake_grid import FakeGrid
 from flwr.app import (
     Array,
     ArrayRecord,
-    ConfigRecord,
     Context,
-    Error,
     Message,
     MetricRecord,
     RecordDict,
@@ -35,57 +33,7 @@ from server_app.rounds import FlowerFleet
 
 Tiny = Callable[..., Config]
 Play = Callable[..., Any]
-Client = Callable[[Message, Context], Message | None]
 PATIENCE_S = 30.0
-
-
-class FakeGrid:
-    """Flower in small: each message runs a client on a thread, which replies or does not.
-
-    Args:
-        clients: what each node does; the project's ClientApp where a node has no entry.
-        nodes: how many there are.
-    """
-
-    def __init__(self, nodes: int, clients: dict[int, Client] | None = None) -> None:
-        self.nodes = [100 + node for node in range(nodes)]
-        self.clients = clients or {}
-        self.sent: list[Message] = []
-        self.threads: list[threading.Thread] = []
-        self._replies: dict[str, Message] = {}
-        self._lock = threading.Lock()
-
-    def get_node_ids(self) -> Iterable[int]:
-        return reversed(self.nodes)
-
-    def push_messages(self, messages: Iterable[Message]) -> Iterable[str]:
-        for message in messages:
-            sent = uuid.uuid4().hex
-            message.metadata.__dict__["_message_id"] = sent
-            self.sent.append(message)
-            self.threads.append(threading.Thread(target=self._work, args=(message,), daemon=True))
-            self.threads[-1].start()
-            yield sent
-
-    def pull_messages(self, message_ids: Iterable[str]) -> Iterable[Message]:
-        with self._lock:
-            return [self._replies.pop(sent) for sent in list(message_ids) if sent in self._replies]
-
-    def _work(self, message: Message) -> None:
-        node = message.metadata.dst_node_id
-        context = Context(1, node, {}, RecordDict(), {})
-        try:
-            reply = self.clients.get(node - 100, train)(message, context)
-        except Exception as error:
-            reply = Message(Error(1, f"{type(error).__name__}: {error}"), reply_to=message)
-        if reply is not None:
-            with self._lock:
-                self._replies[message.metadata.message_id] = reply
-
-    def orders(self, node: int) -> list[ConfigRecord]:
-        """What a node was asked, round by round."""
-        mine = [m for m in self.sent if m.metadata.dst_node_id == 100 + node]
-        return [message.content.config_records["order"] for message in mine]
 
 
 @pytest.fixture(autouse=True)

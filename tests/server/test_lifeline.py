@@ -1,0 +1,383 @@
+"""Runs that lose robots, on a fake grid with the real ClientApp: the weights must not notice."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from fake_grid import Client, FakeGrid
+from flwr.app import Context, Message
+from flwr.serverapp import Grid
+from flwr.supercore.task_identity import TaskIdentity
+
+from agent import checkpoints
+from client_app.app import Order, train
+from client_app.robots import RobotGroup
+from conf import Config, fingerprint
+from conf.places import node_folder, robot_folder, server_folder
+from env.link import LinkServer, LinkTimeout, RobotLost, ServerLost
+from env.link.errors import Disconnected
+from experiments import local
+from server_app import clients as clients_module
+from server_app import lifeline as lifeline_module
+from server_app.checkpoint import latest
+from server_app.clients import Clients
+from server_app.lifeline import Lifeline
+from server_app.nodes import RoundError, placed
+
+Tiny = Callable[..., Config]
+PATIENCE_S = 30.0
+RUN = "0123456789abcdef"
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("_task_id", "_run_id", "_node_id"):
+        monkeypatch.setattr(TaskIdentity, name, 1)
+    monkeypatch.setattr(clients_module, "TEND_S", 0.05)
+
+
+@pytest.fixture
+def deployed(tiny: Tiny, tmp_path: Path) -> Tiny:
+    """The tiny task as it would be deployed, with a checkpoint every second window."""
+
+    def make(changes: dict[str, Any] | None = None) -> Config:
+        standard = {
+            "runtime.name": "deployment",
+            "runtime.start_timeout_s": PATIENCE_S,
+            "federation.link.timeout_s": 5.0,
+            "federation.loss_timeout_s": PATIENCE_S,
+            "train.max_ticks": 120,
+            "state.every": 2,
+            "run.dir": str(tmp_path / "run"),
+            "run.id": RUN,
+        }
+        return tiny({**standard, **(changes or {})})
+
+    return make
+
+
+@pytest.fixture
+def run() -> Iterator[Callable[..., dict[str, Any]]]:
+    """Trains on a fake grid; returns the summary."""
+    before = set(threading.enumerate())
+
+    def make(config: Config, grid: FakeGrid, resumes: bool = False) -> dict[str, Any]:
+        folder = Path(str(config.run.dir))
+        timeout_s = config.federation.link.timeout_s
+        link = LinkServer(fingerprint=fingerprint(), timeout_s=timeout_s)
+        try:
+            clients = Clients(config, cast(Grid, grid), link, sorted(grid.nodes)[:3])
+            resumed = latest(folder / "state", 0) if resumes else None
+            Lifeline(config, folder, link, clients).train(resumed)
+        finally:
+            link.close("the run has ended")
+        summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+        return summary
+
+    yield make
+    for thread in set(threading.enumerate()) - before:
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+
+
+@pytest.fixture
+def digests(tmp_path: Path) -> Callable[[Config], dict[str, str]]:
+    """The digests of a run that loses nobody, in one process."""
+
+    def make(config: Config) -> dict[str, str]:
+        summary = local.train(config, tmp_path / "whole")
+        digest: dict[str, str] = summary["digest"]
+        return digest
+
+    return make
+
+
+@pytest.fixture
+def at_tick(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Lets a robot's process raise an error, once or so often, when it is told of a tick."""
+
+    def make(tick: int, robot: int, error: Exception, times: int = 1) -> None:
+        step, left = RobotGroup.step, [times]
+
+        def failing(self: RobotGroup, told: Any) -> Any:
+            if told.tick == tick and robot in self.robots and left[0]:
+                left[0] -= 1
+                raise error
+            return step(self, told)
+
+        monkeypatch.setattr(RobotGroup, "step", failing)
+
+    return make
+
+
+KILLED = ServerLost("killed")  # the one kind of error of which the server is not told
+CUT = Disconnected("the cable is cut")
+
+
+# --- The same bits --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("strategy", ["fedavg", "none"])
+@pytest.mark.parametrize(("tick", "back_to"), [(57, 4), (20, 0), (7, 0)])
+def test_a_killed_client_is_started_anew_and_costs_no_bit(
+    deployed: Tiny, run: Any, digests: Any, at_tick: Any, strategy: str, tick: int, back_to: int
+) -> None:
+    """At tick 20 the second window has just ended, and the first checkpoint is being written."""
+    config = deployed({"strategy.name": strategy})
+    expected = digests(config)
+    at_tick(tick, 1, KILLED)
+    summary = run(config, FakeGrid(3))
+    assert summary["digest"] == expected
+    (loss,) = summary["losses"]
+    assert loss["loss"].startswith(f"robot 1 lost at tick {tick}")
+    assert loss["back_to"] in {back_to, 2 if tick == 20 else back_to}
+
+
+def test_a_client_whose_cable_was_cut_comes_back_by_itself(
+    deployed: Tiny, run: Any, digests: Any, at_tick: Any
+) -> None:
+    config = deployed()
+    expected = digests(config)
+    at_tick(33, 2, CUT)
+    grid = FakeGrid(3)
+    assert run(config, grid)["digest"] == expected
+    assert len(grid.sent) == 3  # no process had to be started
+
+
+def test_losses_one_after_the_other_cost_no_bit(
+    deployed: Tiny, run: Any, digests: Any, at_tick: Any
+) -> None:
+    config = deployed()
+    expected = digests(config)
+    for tick, robot, error in ((15, 0, KILLED), (45, 1, CUT), (75, 2, KILLED), (90, 0, KILLED)):
+        at_tick(tick, robot, error)
+    summary = run(config, FakeGrid(3))
+    assert summary["digest"] == expected
+    assert [loss["back_to"] for loss in summary["losses"]] == [0, 4, 6, 8]
+
+
+@pytest.mark.parametrize("per_round", [1, 3, 5])
+def test_a_client_that_dies_before_its_reply_costs_no_bit(
+    deployed: Tiny, run: Any, digests: Any, per_round: int
+) -> None:
+    config = deployed({"federation.windows_per_round": per_round})
+    expected = digests(config)
+    served: list[int] = []
+
+    def dies_once(message: Message, context: Context) -> Message:
+        reply = train(message, context)
+        served.append(1)
+        if len(served) == 2:
+            raise MemoryError("killed before its reply")
+        return reply
+
+    assert run(config, FakeGrid(3, {1: dies_once}))["digest"] == expected
+
+
+def test_a_client_that_fails_before_it_has_joined_is_started_again(
+    deployed: Tiny, run: Any, digests: Any
+) -> None:
+    config = deployed()
+    expected = digests(config)
+    tried: list[int] = []
+
+    def late(message: Message, context: Context) -> Message:
+        tried.append(1)
+        if len(tried) < 3:
+            raise OSError("not yet")
+        return train(message, context)
+
+    assert run(config, FakeGrid(3, {0: late}))["digest"] == expected
+
+
+def test_a_node_that_has_gone_is_replaced_by_one_that_joins(
+    deployed: Tiny, run: Any, digests: Any
+) -> None:
+    config = deployed()
+    expected = digests(config)
+    grid = FakeGrid(3)
+
+    def vanishes(message: Message, context: Context) -> None:
+        """The node's process dies with its client, so nobody ever replies; another one joins."""
+        original = RobotGroup.step
+
+        def step(self: RobotGroup, told: Any) -> Any:
+            if told.tick == 52 and 1 in self.robots and 101 in grid.nodes:
+                grid.nodes = [100, 102, 103]
+                raise KILLED
+            return original(self, told)
+
+        RobotGroup.step = step  # type: ignore[method-assign]
+        try:
+            train(message, context)
+        except ServerLost:
+            pass
+        finally:
+            RobotGroup.step = original  # type: ignore[method-assign]
+
+    grid.clients = {1: cast(Client, vanishes)}
+    assert run(config, grid)["digest"] == expected
+    assert [m.metadata.dst_node_id for m in grid.sent] == [100, 101, 102, 103]
+
+
+def test_a_checkpoint_that_one_robot_lacks_is_not_gone_back_to(
+    deployed: Tiny, run: Any, digests: Any, at_tick: Any
+) -> None:
+    config = deployed()
+    expected = digests(config)
+    folder = robot_folder(Path(str(config.run.dir)) / "state", 1)
+
+    def tears(message: Message, context: Context) -> Message:
+        for window in checkpoints(folder)[-1:]:
+            path = folder / f"checkpoint-{window:012d}.safetensors"
+            path.write_bytes(path.read_bytes()[:-7])
+        return train(message, context)
+
+    at_tick(68, 1, KILLED)
+    summary = run(config, FakeGrid(3, {1: tears}))
+    assert summary["digest"] == expected
+    assert summary["losses"][0]["back_to"] == 4
+
+
+# --- States on their nodes ------------------------------------------------------------------------
+
+
+def test_each_node_keeps_its_robots_state_to_itself_and_is_found_again(
+    deployed: Tiny, run: Any, digests: Any, tmp_path: Path
+) -> None:
+    """When the federation comes up again, its nodes have other numbers."""
+    config = deployed({"runtime.connection": "mine"})
+    expected = digests(config)
+
+    def own(node: int) -> dict[str, str]:
+        return {"state-dir": str(tmp_path / f"node-{node}")}
+
+    short = deployed({"runtime.connection": "mine", "train.max_ticks": 70})
+    run(short, FakeGrid(3, node_config=own))
+    for robot in range(3):
+        assert checkpoints(robot_folder(node_folder(tmp_path / f"node-{robot}", RUN), robot))
+    assert not list((tmp_path / "run" / "state").glob("robot-*"))
+    permuted = FakeGrid(3, node_config=lambda node: own((node + 1) % 3))
+    assert run(config, permuted, resumes=True)["digest"] == expected
+
+
+def test_a_node_without_a_robots_state_does_not_take_its_place(
+    deployed: Tiny, run: Any, tmp_path: Path
+) -> None:
+    config = deployed({"runtime.connection": "mine", "train.max_ticks": 70})
+    run(config, FakeGrid(3, node_config=lambda node: {"state-dir": str(tmp_path / f"{node}")}))
+    fresh = FakeGrid(3, node_config=lambda node: {"state-dir": str(tmp_path / f"{2 * node}")})
+    longer = deployed({"runtime.connection": "mine", "train.max_ticks": 120})
+    with pytest.raises(RoundError, match=r"no node holds the checkpoints of robots 1"):
+        run(longer, fresh, resumes=True)
+
+
+def test_blocks_are_placed_by_augmenting_paths() -> None:
+    held = {7: {0, 1}, 8: {0}, 9: {0, 1, 2}}
+    assert placed([(0,), (1,), (2,)], held) == {(0,): 8, (1,): 7, (2,): 9}
+    with pytest.raises(RoundError, match="of robots 2"):
+        placed([(0,), (1,), (2,)], {7: {0, 1}, 8: {0}, 9: {0, 1}})
+
+
+# --- The end of patience --------------------------------------------------------------------------
+
+
+def test_without_waiting_a_loss_ends_the_run_by_name(
+    deployed: Tiny, run: Any, at_tick: Any
+) -> None:
+    at_tick(33, 2, KILLED)
+    with pytest.raises(RobotLost, match="robot 2 lost at tick 33, window 4"):
+        run(deployed({"federation.on_loss": "abort"}), FakeGrid(3))
+
+
+def test_a_robot_that_does_not_come_back_is_named_at_the_deadline(
+    deployed: Tiny, run: Any, at_tick: Any
+) -> None:
+    config = deployed({"federation.loss_timeout_s": 1.0})
+    at_tick(33, 2, KILLED)
+    grid = FakeGrid(3)
+
+    def once(message: Message, context: Context) -> Message | None:
+        try:
+            return train(message, context)
+        except ServerLost:
+            return None
+
+    grid.clients = {2: once}
+    with pytest.raises(LinkTimeout, match=r"robot 2 did not connect within"):
+        run(config, grid)
+
+
+def test_a_client_that_fails_again_and_again_ends_the_run_with_its_reason(
+    deployed: Tiny, run: Any
+) -> None:
+    def broken(message: Message, context: Context) -> Message:
+        raise ImportError("no module named torch")
+
+    with pytest.raises(RoundError, match="robot 0 failed: ImportError: no module named torch"):
+        run(deployed(), FakeGrid(3, {0: broken}))
+
+
+def test_a_robots_own_failure_is_not_waited_out(deployed: Tiny, run: Any, at_tick: Any) -> None:
+    at_tick(33, 2, OSError("no space left on device"))
+    with pytest.raises(RuntimeError, match="robot 2 failed .* no space left on device"):
+        run(deployed(), FakeGrid(3))
+
+
+def test_a_run_that_never_gets_past_a_loss_is_given_up(
+    deployed: Tiny, run: Any, at_tick: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lifeline_module, "MOST_IN_VAIN", 2)
+    at_tick(33, 2, CUT, times=1000)
+    with pytest.raises(RobotLost, match="robot 2 lost at tick 33"):
+        run(deployed(), FakeGrid(3))
+
+
+def test_states_that_have_gone_are_not_taken_for_a_beginning(
+    deployed: Tiny, run: Any, at_tick: Any
+) -> None:
+    config = deployed()
+    state = Path(str(config.run.dir)) / "state"
+
+    def forgetful(message: Message, context: Context) -> Message:
+        for path in robot_folder(state, 1).glob("checkpoint-*"):
+            path.unlink()
+        return train(message, context)
+
+    at_tick(85, 1, KILLED)
+    with pytest.raises(RoundError, match="no checkpoint in common with the server, .* 4, 6, 8"):
+        run(config, FakeGrid(3, {1: forgetful}))
+    assert checkpoints(server_folder(state))
+
+
+def test_progress_says_who_is_waited_for(
+    deployed: Tiny, run: Any, at_tick: Any, tmp_path: Path
+) -> None:
+    config = deployed()
+    seen: list[dict[str, Any]] = []
+
+    def looks(message: Message, context: Context) -> Message:
+        path = tmp_path / "run" / "progress.json"
+        if path.exists():
+            seen.append(json.loads(path.read_text()))
+        return train(message, context)
+
+    at_tick(33, 2, KILLED)
+    run(config, FakeGrid(3, {2: looks}))
+    assert seen[-1]["state"] == "waiting"
+    assert "robot 2 lost at tick 33" in seen[-1]["message"]
+    end = json.loads((tmp_path / "run" / "progress.json").read_text())
+    assert (end["state"], end["checkpoint"], end["round"]) == ("done", 12, 1)
+    assert [client["robots"] for client in end["clients"]] == [[0], [1], [2]]
+
+
+def test_an_order_names_the_round_and_the_certificate(deployed: Tiny, run: Any) -> None:
+    grid = FakeGrid(3)
+    run(deployed(), grid)
+    order = Order.read(grid.orders(1)[0])
+    assert (order.round, order.certificate, order.window) == (1, "", 0)
