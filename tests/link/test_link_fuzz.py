@@ -36,11 +36,13 @@ from env.link.layout import HEADER, Kind
 from env.link.local import LocalFleet
 from env.link.messages import VERSION, Actions, Hello, Want, Weights, Welcome
 from env.link.server import LinkServer
+from env.link.tls import client_context, server_context
 from env.link.wire import Wire
+from server_app.certificates import run_certificate
 
 BLOCKS = ((0,), (1, 2))
 TOKENS = {robot: token(robot) for block in BLOCKS for robot in block}
-run_often = settings(max_examples=60, deadline=None)
+run_often = settings(max_examples=40, deadline=None)
 
 
 # --- The parser -----------------------------------------------------------------------------------
@@ -53,7 +55,7 @@ def test_the_fuzzers_know_every_kind_of_frame():
         messages_of(message_type).validate()
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(pieces)
 def test_a_frame_is_refused_or_says_the_same_when_sent_on(data):
     try:
@@ -120,10 +122,10 @@ def link(**options):
     assert set(threading.enumerate()) <= before
 
 
-def honest_run(server, disturb=lambda: None):
+def honest_run(server, disturb=lambda: None, context=None):
     """A round with honest clients only, disturbed before each step; all must go as ever."""
     server.admit(BLOCKS, TOKENS, SHAPE)
-    clients = [Client(server, Recorder(block)) for block in BLOCKS]
+    clients = [Client(server, Recorder(block), client_context=context) for block in BLOCKS]
     server.wait_connected(PATIENCE_S)
     heard = drive(_Disturbed(server, disturb), 3)
     assert [client.join() for client in clients] == [None, None]
@@ -147,8 +149,10 @@ class _Disturbed:
 class Peer:
     """A hostile connection that sends a piece of its script at a time, and then ends."""
 
-    def __init__(self, server, script):
+    def __init__(self, server, script, context=None):
         self.sock = RawClient(server).sock
+        if context is not None:
+            self.sock = context.wrap_socket(self.sock)
         self._pieces = iter(script)
 
     def go_on(self):
@@ -163,14 +167,22 @@ class Peer:
         self.sock.close()
 
 
+CERTIFICATE, KEY = run_certificate("127.0.0.1")
+
+
+@pytest.mark.parametrize("where", ["without TLS", "where TLS is due", "inside TLS"])
 @run_often
 @given(st.lists(scripts, min_size=1, max_size=5))
-def test_whatever_strangers_send_the_run_ends_in_the_same_bits(all_scripts):
-    with link() as server:
+def test_whatever_strangers_send_the_run_ends_in_the_same_bits(where, all_scripts):
+    server_tls = client_tls = None
+    if where != "without TLS":
+        server_tls, client_tls = server_context(CERTIFICATE, KEY), client_context(CERTIFICATE)
+    with link(server_context=server_tls) as server:
         server.admit(BLOCKS, TOKENS, SHAPE)
-        peers = [Peer(server, script) for script in all_scripts]
-        honest_run(server, lambda: [peer.go_on() for peer in peers])
-        honest_run(server)
+        strangers_tls = client_tls if where == "inside TLS" else None
+        peers = [Peer(server, script, strangers_tls) for script in all_scripts]
+        honest_run(server, lambda: [peer.go_on() for peer in peers], client_tls)
+        honest_run(server, context=client_tls)
         for peer in peers:
             peer.close()
 
@@ -243,15 +255,15 @@ def test_who_drips_does_not_move_the_deadline(make_link):
     dripping.join(PATIENCE_S)
 
 
-FLOOD = 3 * MAX_NEWCOMERS
-WRONG = [
-    Hello(VERSION, "v1", [0], ["wrong"]),
-    Hello(VERSION, "v1", [0], [token(1)]),
-    Hello(VERSION, "v2", [0], [token(0)]),
-    Hello(VERSION + 1, "v1", [0], [token(0)]),
-    Hello(VERSION, "v1", [1], [token(1)]),
-    Hello(VERSION, "v1", [0, 1, 2], [token(0), token(1), token(2)]),
-]
+FLOOD = 2 * MAX_NEWCOMERS
+FLOODS = {
+    "silence": b"",
+    "garbage": b"x" * 200,
+    "a frame without an end": b"RISF" * 30_000,
+    "wrong token": Hello(VERSION, "v1", [0], ["wrong"]),
+    "another robot's token": Hello(VERSION, "v1", [0], [token(1)]),
+    "robots of two clients": Hello(VERSION, "v1", [0, 1, 2], list(TOKENS.values())),
+}
 
 
 @pytest.fixture
@@ -267,7 +279,7 @@ def descriptors():
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts descriptors in /proc")
-@pytest.mark.parametrize("message", [*WRONG, b"", b"x" * 200, b"RISF" * 30_000], ids=range(9))
+@pytest.mark.parametrize("message", FLOODS.values(), ids=FLOODS)
 @pytest.mark.usefixtures("unlogged")
 def test_a_flood_of_connections_leaves_no_memory_and_no_descriptor_behind(message):
     with link(timeout_s=PATIENCE_S) as server:
