@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import DQN, epsilon_at
+from client_app.sanity import check_model, check_rewards, check_told
 from conf import Config, robot_network
 from env.link import Flag, Step, Want
 from env.seeding import Stream, stream
@@ -58,11 +59,12 @@ class RobotGroup:
         """Learns from the outcome that a step carries and answers the actions that it wants."""
         self.window = step.window
         updates = step.updates
+        check_told(step.tick, self.robots, updates, self._slice.cells)
         flags = updates["flags"]
         learning = (flags & OUTCOME) != 0
         observation = self._slice.observe(updates["cell"], updates["channel_db"])
         if learning.any():
-            self._learn(updates, observation, learning, (flags & ARRIVED) != 0)
+            self._learn(step.tick, updates, observation, learning, (flags & ARRIVED) != 0)
         self._cell, self._observation = updates["cell"], observation
         if step.want is not Want.ACTIONS:
             return None
@@ -72,6 +74,7 @@ class RobotGroup:
 
     def _learn(
         self,
+        tick: int,
         updates: np.ndarray,
         observation: NDArray[np.float32],
         learning: NDArray[np.bool_],
@@ -80,6 +83,7 @@ class RobotGroup:
         """Learns from an outcome; it led to what is observed now, unless an episode has ended."""
         reached = updates["outcome_cell"]
         reward = self._slice.reward(updates["rate"], self._cell, reached, arrived)
+        check_rewards(tick, self.robots, reward, learning)
         following = observation
         channel_db = updates["outcome_channel_db"]
         if (reached != updates["cell"]).any() or (channel_db != updates["channel_db"]).any():
@@ -92,4 +96,5 @@ class RobotGroup:
 
     def download(self, window: int, weights: NDArray[np.float32]) -> None:
         """Takes the global model of a window, float32, shape (2, P)."""
+        check_model(window, weights)
         self.agents.load(weights)

@@ -21,6 +21,10 @@ class Slice:
     Args:
         config: the environment.
         destinations: the cell that each of these robots is going to, shape (n,).
+
+    Attributes:
+        cells: how many the floor has.
+        observation_size: of s_L.
     """
 
     def __init__(self, config: EnvConfig, destinations: NDArray[np.int64]) -> None:
@@ -31,6 +35,7 @@ class Slice:
         floor = Floor.from_config(config)
         self._distance_m = guidance.distances_m(floor, destinations, config.reward.distance)
         self._robot = np.arange(len(destinations))
+        self.cells = len(self._distance_m)
         self.observation_size = self._observer.local_size
 
     def observe(

@@ -31,6 +31,8 @@ from flwr.serverapp import Grid
 from flwr.serverapp.strategy import FedAvg
 from flwr.supercore.task_identity import TaskIdentity
 
+from agent.limits import WEIGHT_LIMIT, magnitude
+
 Weights = npt.NDArray[np.float32]
 ONLINE, TARGET = slice(0, 1), slice(1, 2)
 """The rows of a robot's weights, shape (2, P)."""
@@ -93,8 +95,8 @@ class Aggregator:
             The weights that every robot takes, float32, shape (2, P), owned by the caller.
 
         Raises:
-            ValueError: a shape or the window is wrong, or an upload is not finite; the message
-                names the robot.
+            ValueError: a shape or the window is wrong, or an upload is not finite or beyond
+                ``WEIGHT_LIMIT``; the message names the robot and the value.
             ArithmeticError: the strategy's result is not finite in float32.
         """
         self._check(window, current, uploads)
@@ -140,12 +142,12 @@ class Aggregator:
                 f"weights of shape {current.shape} and uploads of shape {uploads.shape}:"
                 f" (2, P) and ({self._robots}, 2, P) are expected"
             )
-        if not np.isfinite(uploads).all():
-            broken = np.flatnonzero(~np.isfinite(uploads).all(axis=(1, 2)))
-            named = ", ".join(str(robot) for robot in broken)
+        largest = [magnitude(upload) for upload in uploads]
+        if absurd := [k for k, value in enumerate(largest) if not value <= WEIGHT_LIMIT]:
+            named = ", ".join(f"robot {robot} ({largest[robot]:.3g})" for robot in absurd)
             raise ValueError(
-                f"window {window}: not-a-number or infinite weights from robot {named}"
-                f" (of robots 0 to {self._robots - 1})"
+                f"window {window}: absurd weights from {named}, of robots 0 to {self._robots - 1}:"
+                f" finite ones of at most {WEIGHT_LIMIT:g} are taken"
             )
 
 

@@ -179,10 +179,16 @@ class Coordinator:
         return want is Want.FAREWELL
 
     def _robots_actions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Waits for the robots' actions: directions and power levels, shape (1, K) each."""
+        """Waits for the robots' actions, checked: directions and power levels, (1, K) each."""
         began = time.perf_counter()
         chosen = self._fleet.actions(self.progress.tick).astype(np.int64)
         self.waited_s += time.perf_counter() - began
+        most = actions.count(self._config.env.power.levels) - 1
+        for robot, action in enumerate(chosen.tolist()):
+            if not -1 <= action <= most:
+                raise ValueError(
+                    f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
+                )
         return actions.decode(chosen[None], self._config.env.power.levels)
 
     def _pass_on(

@@ -32,7 +32,6 @@ from env.link.messages import (
     Want,
     Weights,
     Welcome,
-    checked_weights,
 )
 from env.link.messages import Refused as RefusedMessage
 from env.link.wire import Wire, prepare
@@ -174,8 +173,9 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
                 uploaded = message.window
                 line.say(encode(Weights(message.window, given)))
         elif isinstance(message, Weights) and message.window == uploaded:
-            weights = checked_weights(message.weights, (2, n_parameters))
-            handler.download(message.window, weights)
+            if message.weights.shape != (2, n_parameters):
+                raise FrameError(f"weights of shape {message.weights.shape}, not {2, n_parameters}")
+            handler.download(message.window, message.weights)
             uploaded = -1
         elif isinstance(message, Halt):
             uploaded = -1

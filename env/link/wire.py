@@ -4,6 +4,7 @@ import contextlib
 import socket
 import ssl
 import struct
+import time
 
 import numpy as np
 
@@ -126,9 +127,11 @@ class Wire:
             self.send(frame, linger_s or 0.05)
             if linger_s and not isinstance(self._sock, ssl.SSLSocket):
                 self._sock.shutdown(socket.SHUT_WR)
-                self._sock.settimeout(linger_s)
-                while self._sock.recv(65536):
-                    pass
+                deadline = time.monotonic() + linger_s
+                while (rest := deadline - time.monotonic()) > 0:
+                    self._sock.settimeout(rest)
+                    if not self._sock.recv(65536):
+                        break
         self.close()
 
     def close(self) -> None:

@@ -27,9 +27,12 @@ from flwr.serverapp.strategy import (
     MultiKrum,
 )
 from flwr.supercore.task_identity import TaskIdentity
+from hypothesis import given
+from hypothesis.extra import numpy as hnp
 from omegaconf import OmegaConf
 
 import conf
+from agent.limits import WEIGHT_LIMIT, magnitude
 from conf import StrategyConfig
 from server_app.aggregation import Aggregator, Scope, Weights
 from server_app.strategies import STRATEGIES, build_aggregator, problems
@@ -91,7 +94,7 @@ def test_the_mean_is_within_half_an_ulp_of_the_exact_mean(rule: str, robots: int
 @pytest.mark.parametrize("robots", [1, 3, 7, 33])
 def test_equal_uploads_come_back_bit_for_bit(rule: str, robots: int) -> None:
     current, _ = weights(robots)
-    current[0, :4] = [1e-45, -0.0, float(np.finfo(np.float32).max), 1 / 3]
+    current[0, :4] = [1e-45, -0.0, np.nextafter(np.float32(WEIGHT_LIMIT), np.float32(0)), 1 / 3]
     uploads = np.repeat(current[None], robots, axis=0)
     result = aggregator(rule, robots).aggregate(1, np.zeros_like(current), uploads)
     assert result.tobytes() == current.tobytes()
@@ -279,24 +282,54 @@ def test_a_task_identity_is_lent_where_there_is_none_and_kept_where_there_is() -
 
 
 @pytest.mark.parametrize("rule", ["fedavg", "krum", "fedadam"])
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_an_upload_that_is_not_finite_names_its_robot_and_changes_nothing(
-    rule: str, bad: float
+@pytest.mark.parametrize(
+    ("bad", "shown"),
+    [
+        (np.nan, "nan"),
+        (np.inf, "inf"),
+        (-np.inf, "inf"),
+        (-1.01 * WEIGHT_LIMIT, r"1\.01e\+04"),
+        (3e38, r"3e\+38"),
+    ],
+)
+def test_an_absurd_upload_names_its_robot_and_value_and_changes_nothing(
+    rule: str, bad: float, shown: str
 ) -> None:
     current, uploads = weights(3)
     aggregate = aggregator(rule, 3)
     expected = aggregator(rule, 3).aggregate(1, current, uploads)
     broken = uploads.copy()
     broken[1, 1, 5] = bad
-    with pytest.raises(ValueError, match=r"window 1: .* from robot 1 "):
+    with pytest.raises(
+        ValueError, match=rf"window 1: .* from robot 1 \({shown}\), of robots 0 to 2"
+    ):
         aggregate.aggregate(1, current, broken)
     np.testing.assert_array_equal(aggregate.aggregate(1, current, uploads), expected)
+
+
+def test_all_robots_with_absurd_weights_are_named() -> None:
+    current, uploads = weights(4)
+    uploads[1, 0, 0], uploads[3, 1, 2] = np.nan, 1e6
+    with pytest.raises(ValueError, match=r"robot 1 \(nan\), robot 3 \(1e\+06\), of"):
+        aggregator("fedavg", 4).aggregate(2, current, uploads)
+
+
+def test_weights_at_the_limit_are_taken() -> None:
+    current, uploads = weights(3)
+    uploads[0, 0, 0], uploads[1, 1, 1] = WEIGHT_LIMIT, -WEIGHT_LIMIT
+    assert np.isfinite(aggregator("fedavg", 3).aggregate(1, current, uploads)).all()
+
+
+@given(hnp.arrays(np.float32, hnp.array_shapes(max_dims=3, max_side=6)))
+def test_the_magnitude_is_the_largest_and_nan_is_not_missed(array: Weights) -> None:
+    with np.errstate(invalid="ignore"):
+        found = magnitude(array)
+    assert np.isnan(found) if np.isnan(array).any() else found == np.abs(array).max()
 
 
 def test_a_result_beyond_float32_is_an_error_that_names_the_strategy() -> None:
     current, uploads = weights(3)
     current[0, 0] = -np.finfo(np.float32).max
-    uploads[:, 0, 0] = np.finfo(np.float32).max
     aggregate = Aggregator(FedAvgM(server_learning_rate=4.0), 3, scope=Scope.ONLINE)
     with pytest.raises(ArithmeticError, match=r"FedAvgM .* window 6"):
         aggregate.aggregate(6, current, uploads)

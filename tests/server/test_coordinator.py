@@ -341,6 +341,22 @@ def test_what_a_robot_raises_ends_the_run_at_once(tiny: Tiny, play: Callable[...
         play(config, fleet=Broken(SpiedWorld(config), []))
 
 
+@pytest.mark.parametrize("wild", [-2, 96, 2**31 - 1, -(2**31)])
+def test_an_action_that_is_none_ends_the_run_and_names_the_robot(
+    tiny: Tiny, play: Callable[..., Any], wild: int
+) -> None:
+    class Hostile(ScriptedFleet):
+        def actions(self, tick: int) -> NDArray[np.int32]:
+            chosen = super().actions(tick)
+            if tick == 3:
+                chosen[1] = wild
+            return chosen
+
+    config = tiny({"env.power.levels": 24})
+    with pytest.raises(ValueError, match=f"tick 3: action {wild} of robot 1, of -1 to 95"):
+        play(config, fleet=Hostile(SpiedWorld(config), []))
+
+
 # --- The same bits, however robots are grouped ----------------------------------------------------
 
 BLOCKS = ([(0, 1, 2)], [(0, 1), (2,)], [(0,), (1,), (2,)], [(2, 0), (1,)])
