@@ -1,0 +1,193 @@
+"""One process of ``risfleet train`` that is watched, struck and seen to its end."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from chaos.crowd import LAUNCHER, MARK, WATCHDOG, Crowd, kill
+from chaos.moments import WRITING, Moment, Watched
+from chaos.tasks import ROBOTS, Runtime
+
+ROOT = Path(__file__).parents[2]
+HUNG = -1000
+"""The status of a launcher that did not end."""
+
+_LOOK_S = 0.01
+_STARE_S = 0.0002  # a checkpoint is written in a few milliseconds
+
+
+@dataclass(frozen=True)
+class Strike:
+    """A kill that is planned: when, and whom to kill if it is there."""
+
+    moment: Moment
+    role: str
+
+
+@dataclass
+class Hit:
+    """A kill that happened.
+
+    Attributes:
+        moment: what was waited for.
+        role: of the process that was killed.
+        window: the newest window that the server had a checkpoint of.
+        at: when, on the monotonic clock, in s.
+        further_s: seconds until the server had a later checkpoint, None if it never had.
+    """
+
+    moment: Moment
+    role: str
+    window: int
+    at: float
+    further_s: float | None = None
+
+
+@dataclass
+class Outcome:
+    """How a process came to its end.
+
+    Attributes:
+        status: the launcher's; negative for a signal, `HUNG` if it had to be ended.
+        printed: its standard output.
+        errors: its standard error.
+        hits: the kills.
+        ended_s: seconds from the last kill to the launcher's end.
+        gone_s: seconds from there to the end of every other process.
+        left: command lines of processes that had to be ended.
+    """
+
+    status: int
+    printed: str
+    errors: str
+    hits: list[Hit]
+    ended_s: float
+    gone_s: float
+    left: list[str] = field(default_factory=list)
+
+
+class Attempt:
+    """Starts the command on entry; on exit none of its processes is left.
+
+    Args:
+        given: the command's arguments behind `train`.
+        folder: the run's folder.
+        scratch: a folder with a short path for files that the command makes elsewhere.
+        runtime: its limits.
+    """
+
+    def __init__(self, given: Sequence[str], folder: Path, scratch: Path, runtime: Runtime) -> None:
+        self._given, self._folder, self._scratch = list(given), folder, scratch
+        self._runtime = runtime
+        self._hits: list[Hit] = []
+
+    def __enter__(self) -> Attempt:
+        """Starts the command."""
+        mark = uuid.uuid4().hex
+        paths = filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])
+        extra = {MARK: mark, "TMPDIR": str(self._scratch), "PYTHONPATH": os.pathsep.join(paths)}
+        self._printed = self._scratch / f"out-{mark}"
+        self._errors = self._scratch / f"err-{mark}"
+        self._began, since = time.monotonic(), time.time()
+        with self._printed.open("w") as printed, self._errors.open("w") as errors:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "experiments.cli", "train", *self._given],
+                stdin=subprocess.DEVNULL,
+                stdout=printed,
+                stderr=errors,
+                cwd=self._scratch,
+                env=os.environ | extra,
+                start_new_session=True,
+            )
+        self._crowd = Crowd(self._process.pid, mark)
+        self._watched = Watched(self._folder, ROBOTS, since)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Ends whatever is left."""
+        self._crowd.end()
+        self._process.wait()
+
+    def strike(self, strike: Strike, rng: random.Random) -> bool:
+        """Waits for a moment and kills a process; False if the command ended before.
+
+        Args:
+            strike: the moment and the role.
+            rng: picks another process where the role is not there.
+        """
+        moment = strike.moment
+        pause_s = _STARE_S if moment.kind == WRITING else _LOOK_S
+        while not self._watched.reached(moment):
+            if not self._is_running():
+                return False
+            time.sleep(pause_s)
+        due = time.monotonic() + moment.delay_s
+        while moment.kind != WRITING and (rest := due - time.monotonic()) > 0:
+            time.sleep(min(_LOOK_S, rest))
+            if not self._is_running():
+                return False
+        return self._kill(strike, rng)
+
+    def finish(self) -> Outcome:
+        """Waits for the launcher's end, and for that of all other processes."""
+        while self._is_running():
+            if time.monotonic() - self._began > self._runtime.patience_s:
+                break
+            self._look_further()
+            time.sleep(0.05)
+        self._look_further()
+        ended = time.monotonic()
+        status = self._process.poll()
+        self._crowd.wait_gone(self._runtime.gone_within_s if status is not None else 0.0)
+        gone_s = time.monotonic() - ended
+        left = self._crowd.roles()
+        self._crowd.end()
+        self._process.wait()
+        return Outcome(
+            status=HUNG if status is None else status,
+            printed=self._printed.read_text(),
+            errors=self._errors.read_text(),
+            hits=self._hits,
+            ended_s=ended - (self._hits[-1].at if self._hits else self._began),
+            gone_s=gone_s,
+            left=[f"{role} {row.pid}" for role, rows in left.items() for row in rows],
+        )
+
+    def _kill(self, strike: Strike, rng: random.Random) -> bool:
+        """Kills a process of the role, or of another that is there."""
+        if self._runtime.roles == (LAUNCHER,):  # no need to look around, while a file is written
+            role, row = LAUNCHER, next(iter(self._crowd.alive()), None)
+        else:
+            role, row = self._victim(strike.role, rng)
+        if row is None:
+            return False
+        kill([row])
+        self._hits.append(Hit(strike.moment, role, self._watched.checkpoint(), time.monotonic()))
+        return True
+
+    def _victim(self, wanted: str, rng: random.Random) -> tuple[str, object]:
+        there = {r: rows for r, rows in self._crowd.roles().items() if r in self._runtime.roles}
+        if any(hit.role == WATCHDOG for hit in self._hits):
+            there.pop(LAUNCHER, None)  # the one who would clean up after it is dead already
+        if not there:
+            return wanted, None
+        role = wanted if wanted in there else rng.choice(sorted(there))
+        return role, rng.choice(there[role])
+
+    def _is_running(self) -> bool:
+        late = time.monotonic() - self._began > self._runtime.patience_s
+        return self._process.poll() is None and not late
+
+    def _look_further(self) -> None:
+        """Notes when the server had a checkpoint later than any before a kill."""
+        for hit in self._hits:
+            if hit.further_s is None and self._watched.checkpoint() > hit.window:
+                hit.further_s = time.monotonic() - hit.at
