@@ -14,12 +14,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from chaos import report
+from chaos import links, report
 from chaos.attempt import Attempt
+from chaos.hosts import obstacle
 from chaos.story import Row, Story
 from chaos.tasks import ALL, LOCAL, Runtime
 
 MOST_A_RUN = {"local": 4, "simulation": 2, "deployment": 3}
+RUNS_A_KILL = 2
 SHARES = {"local": 4, "simulation": 3, "deployment": 3}
 
 
@@ -30,6 +32,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--runtimes", default=",".join(ALL))
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"))
+    parser.add_argument("--no-links", action="store_true", help="leave the two hosts out")
     asked = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that all is cleaned up then, too
     console = Console()
@@ -38,6 +41,8 @@ def main() -> int:
     for line in skipped:
         console.print(line, highlight=False)
     playable = [item for item in chosen if not item.missing()]
+    if not asked.no_links:
+        _try_links(asked.out, console)
     rows: list[Row] = []
     scratch = Path(tempfile.mkdtemp(prefix="rc-", dir="/tmp"))  # Ray's sockets need short paths
     try:
@@ -56,6 +61,16 @@ def main() -> int:
     return 0 if len(rows) >= asked.kills and all(row.survived for row in rows) else 1
 
 
+def _try_links(out: Path, console: Console) -> None:
+    """What delay, loss and a cut cable do, as a table and in ``links.json``."""
+    if why := obstacle():
+        console.print(f"two hosts skipped: {why}", highlight=False)
+        return
+    heard = [(trial, links.converse(trial)) for trial in (*links.DELAYS, *links.CUTS)]
+    console.print(links.table(heard))
+    links.write(out / "links.json", heard)
+
+
 def _play_all(
     runtimes: list[Runtime],
     kills: int,
@@ -71,7 +86,7 @@ def _play_all(
     number = 0
     for runtime, share in shares(runtimes, kills):
         done = 0
-        while done < share:
+        while done < share and number < RUNS_A_KILL * kills:  # a run may end before its kill
             number += 1
             own = scratch / str(number)
             own.mkdir()

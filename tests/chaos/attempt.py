@@ -15,6 +15,7 @@ from pathlib import Path
 from chaos.crowd import LAUNCHER, MARK, WATCHDOG, Crowd, kill
 from chaos.moments import WRITING, Moment, Watched
 from chaos.tasks import ROBOTS, Runtime
+from experiments.flower.processes import Process
 
 ROOT = Path(__file__).parents[2]
 HUNG = -1000
@@ -173,7 +174,7 @@ class Attempt:
         self._hits.append(Hit(strike.moment, role, self._watched.checkpoint(), time.monotonic()))
         return True
 
-    def _victim(self, wanted: str, rng: random.Random) -> tuple[str, object]:
+    def _victim(self, wanted: str, rng: random.Random) -> tuple[str, Process | None]:
         there = {r: rows for r, rows in self._crowd.roles().items() if r in self._runtime.roles}
         if any(hit.role == WATCHDOG for hit in self._hits):
             there.pop(LAUNCHER, None)  # the one who would clean up after it is dead already

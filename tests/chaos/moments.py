@@ -6,6 +6,7 @@ import json
 import random
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from agent import checkpoints
 from chaos.tasks import WINDOWS_PER_CHECKPOINT, Runtime
@@ -114,10 +115,10 @@ def draw(rng: random.Random, runtime: Runtime, first: int) -> Moment:
     return Moment(kind, rng.choice(inside), delay_s)
 
 
-def read_json(path: Path) -> dict[str, object]:
+def read_json(path: Path) -> dict[str, Any]:
     """A JSON file's object, empty where there is none yet."""
     try:
-        content: dict[str, object] = json.loads(path.read_text())
+        content: dict[str, Any] = json.loads(path.read_text())
     except (OSError, ValueError):
         return {}
     return content

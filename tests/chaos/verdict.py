@@ -68,9 +68,12 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def is_clear(errors: str) -> bool:
-    """Whether what a command printed begins with one sentence of ours and holds no traceback."""
-    lines = errors.strip().splitlines()
-    return bool(lines) and lines[0].startswith("risfleet: ") and "Traceback" not in errors
+    """Whether a command that failed says why before all else.
+
+    Below its sentence it may show the end of Flower's log, and that may hold a traceback; one of
+    its own would stand above.
+    """
+    return errors.startswith("risfleet: ") and len(errors.splitlines()[0]) > len("risfleet: ")
 
 
 def resumed_window(printed: str) -> int | None:
