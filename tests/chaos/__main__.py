@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import random
 import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
 
 from chaos import links, report
 from chaos.attempt import Attempt
+from chaos.crowd import Deck
 from chaos.hosts import obstacle
 from chaos.story import Row, Story
 from chaos.tasks import ALL, LOCAL, Runtime
@@ -82,7 +81,7 @@ def _play_all(
     """Plays runs in turn until each runtime has had its share of the kills."""
     rng = random.Random(seed)
     reference = play_reference(scratch / "r")
-    roles = {runtime.name: deck(runtime, rng) for runtime in runtimes}
+    decks = {runtime.name: Deck(runtime.roles, rng) for runtime in runtimes}
     number = 0
     for runtime, share in shares(runtimes, kills):
         done = 0
@@ -91,7 +90,7 @@ def _play_all(
             own = scratch / str(number)
             own.mkdir()
             planned = min(share - done, rng.randint(1, MOST_A_RUN[runtime.name]))
-            story = Story(number, runtime, reference, own, planned, rng, roles[runtime.name])
+            story = Story(number, runtime, reference, own, planned, rng, decks[runtime.name])
             played = story.play(
                 lambda row: console.print(_line(row), highlight=False, soft_wrap=True)
             )
@@ -116,12 +115,6 @@ def shares(runtimes: list[Runtime], kills: int) -> list[tuple[Runtime, int]]:
     """Kills of each runtime; together at least as many as asked."""
     whole = sum(SHARES[runtime.name] for runtime in runtimes)
     return [(runtime, -(-kills * SHARES[runtime.name] // whole)) for runtime in runtimes]
-
-
-def deck(runtime: Runtime, rng: random.Random) -> Iterator[str]:
-    """Roles without end: all of them in a random order, then again."""
-    for _ in itertools.count():
-        yield from rng.sample(runtime.roles, len(runtime.roles))
 
 
 def _line(row: Row) -> str:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import random
 import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from chaos.crowd import LAUNCHER, MARK, WATCHDOG, Crowd, kill
+from chaos.crowd import LAUNCHER, MARK, WATCHDOG, Crowd, Deck, aim
 from chaos.moments import WRITING, Moment, Watched
 from chaos.tasks import ROBOTS, Runtime
 from experiments.flower.processes import Process
@@ -23,14 +22,6 @@ HUNG = -1000
 
 _LOOK_S = 0.01
 _STARE_S = 0.0002  # a checkpoint is written in a few milliseconds
-
-
-@dataclass(frozen=True)
-class Strike:
-    """A kill that is planned: when, and whom to kill if it is there."""
-
-    moment: Moment
-    role: str
 
 
 @dataclass
@@ -117,25 +108,30 @@ class Attempt:
         self._crowd.end()
         self._process.wait()
 
-    def strike(self, strike: Strike, rng: random.Random) -> bool:
+    def strike(self, moment: Moment, deck: Deck) -> bool:
         """Waits for a moment and kills a process; False if the command ended before.
 
         Args:
-            strike: the moment and the role.
-            rng: picks another process where the role is not there.
+            moment: when.
+            deck: whom.
         """
-        moment = strike.moment
-        pause_s = _STARE_S if moment.kind == WRITING else _LOOK_S
-        while not self._watched.reached(moment):
-            if not self._is_running():
-                return False
-            time.sleep(pause_s)
+        if not self._wait(lambda: self._watched.reached(moment)):
+            return False
         due = time.monotonic() + moment.delay_s
-        while moment.kind != WRITING and (rest := due - time.monotonic()) > 0:
-            time.sleep(min(_LOOK_S, rest))
-            if not self._is_running():
-                return False
-        return self._kill(strike, rng)
+        if not self._wait(lambda: time.monotonic() >= due):
+            return False
+        if (victim := deck.pick(self._targets())) is None:
+            return False
+        role, process = victim
+        if (target := aim(process)) is None:
+            return False
+        if moment.kind == WRITING:
+            self._wait(self._watched.is_writing, _STARE_S)
+        window = self._watched.checkpoint()
+        if not target.kill():
+            return False
+        self._hits.append(Hit(moment, role, window, time.monotonic()))
+        return True
 
     def finish(self) -> Outcome:
         """Waits for the launcher's end, and for that of all other processes."""
@@ -162,26 +158,20 @@ class Attempt:
             left=[f"{role} {row.pid}" for role, rows in left.items() for row in rows],
         )
 
-    def _kill(self, strike: Strike, rng: random.Random) -> bool:
-        """Kills a process of the role, or of another that is there."""
-        if self._runtime.roles == (LAUNCHER,):  # no need to look around, while a file is written
-            role, row = LAUNCHER, next(iter(self._crowd.alive()), None)
-        else:
-            role, row = self._victim(strike.role, rng)
-        if row is None:
-            return False
-        kill([row])
-        self._hits.append(Hit(strike.moment, role, self._watched.checkpoint(), time.monotonic()))
-        return True
-
-    def _victim(self, wanted: str, rng: random.Random) -> tuple[str, Process | None]:
-        there = {r: rows for r, rows in self._crowd.roles().items() if r in self._runtime.roles}
+    def _targets(self) -> dict[str, list[Process]]:
+        """Who may be killed now."""
+        there = self._crowd.roles()
         if any(hit.role == WATCHDOG for hit in self._hits):
             there.pop(LAUNCHER, None)  # the one who would clean up after it is dead already
-        if not there:
-            return wanted, None
-        role = wanted if wanted in there else rng.choice(sorted(there))
-        return role, rng.choice(there[role])
+        return there
+
+    def _wait(self, condition: Callable[[], bool], pause_s: float = _LOOK_S) -> bool:
+        """Waits until a condition holds; False if the command ended before."""
+        while not condition():
+            if not self._is_running():
+                return False
+            time.sleep(pause_s)
+        return True
 
     def _is_running(self) -> bool:
         late = time.monotonic() - self._began > self._runtime.patience_s

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import random
 import re
 import signal
 import time
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.flower.processes import Process, command, identify, members, table
@@ -82,7 +83,9 @@ class Crowd:
         """Kill whatever is left, process by process."""
         deadline = time.monotonic() + 10.0
         while (left := self.alive()) and time.monotonic() < deadline:
-            kill(left)
+            for row in left:
+                if (target := aim(row)) is not None:
+                    target.kill()
             time.sleep(_POLL_S)
 
     def _is_marked(self, row: Process) -> bool:
@@ -94,9 +97,59 @@ class Crowd:
             return False
 
 
-def kill(processes: Iterable[Process]) -> None:
-    """Kill -9, unless the number belongs to another process by now."""
-    for row in processes:
-        if identify(row.pid) == row:
-            with suppress(ProcessLookupError):
-                os.kill(row.pid, signal.SIGKILL)
+@dataclass(frozen=True)
+class Target:
+    """A process held by a descriptor, so that a kill is quick and can hit no other."""
+
+    process: Process
+    handle: int
+
+    def kill(self) -> bool:
+        """Kill -9; False if it had gone."""
+        try:
+            signal.pidfd_send_signal(self.handle, signal.SIGKILL)
+        except ProcessLookupError:
+            return False
+        finally:
+            os.close(self.handle)
+        return True
+
+
+def aim(process: Process) -> Target | None:
+    """Take hold of a process; None if it has gone."""
+    try:
+        handle = os.pidfd_open(process.pid)
+    except ProcessLookupError:
+        return None
+    if identify(process.pid) != process:  # its number is another's by now
+        os.close(handle)
+        return None
+    return Target(process, handle)
+
+
+class Deck:
+    """Whom to kill next: every role has its turn, in a random order, as soon as it is there.
+
+    Args:
+        roles: whom to kill at all.
+        rng: of the suite.
+    """
+
+    def __init__(self, roles: Sequence[str], rng: random.Random) -> None:
+        self._roles, self._rng = roles, rng
+        self._cards: list[str] = []
+
+    def pick(self, there: Mapping[str, Sequence[Process]]) -> tuple[str, Process] | None:
+        """A role and a process of it; None if none of the roles is there.
+
+        Args:
+            there: the processes by role.
+        """
+        present = [role for role in self._roles if role in there]
+        if not present:
+            return None
+        if not any(card in present for card in self._cards):
+            self._cards += self._rng.sample(present, len(present))
+        role = next(card for card in self._cards if card in present)
+        self._cards.remove(role)
+        return role, self._rng.choice(there[role])

@@ -13,7 +13,7 @@ from chaos.tasks import WINDOWS_PER_CHECKPOINT, Runtime
 from conf.places import STATE, robot_windows, server_folder
 
 STARTING = "start-up"
-JOINING = "before the first checkpoint"
+JOINING = "first windows"
 MIDDLE = "mid-window"
 WRITING = "writing a checkpoint"
 ROUND = "end of a round"
@@ -58,9 +58,7 @@ class Watched:
                 max(robot_windows(self.state, robot), default=0) >= moment.window
                 for robot in range(self._robots)
             )
-        if self.checkpoint() < moment.window:
-            return False
-        return moment.kind != WRITING or self._is_writing()
+        return self.checkpoint() >= moment.window
 
     def says(self) -> str:
         """The state in ``progress.json``, empty where this process has written none yet."""
@@ -72,7 +70,8 @@ class Watched:
         """The newest window that the server has a checkpoint of, 0 if none."""
         return max(checkpoints(server_folder(self.state)), default=0)
 
-    def _is_writing(self) -> bool:
+    def is_writing(self) -> bool:
+        """Whether a checkpoint is half written at this instant."""
         for path in self.state.glob("**/*.writing"):
             try:
                 if path.stat().st_mtime >= self._since:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agent import CheckpointError
-from chaos.attempt import HUNG, Attempt, Hit, Outcome, Strike
-from chaos.crowd import LAUNCHER
-from chaos.moments import draw, newest
+from chaos.attempt import HUNG, Attempt, Hit, Outcome
+from chaos.crowd import LAUNCHER, Deck
+from chaos.moments import Moment, draw, newest
 from chaos.tasks import ROBOTS, Runtime
 from chaos.verdict import differences, has_ended, is_clear, resumed_window, unfinished
 from server_app.checkpoint import latest
@@ -64,7 +64,7 @@ class Story:
         scratch: a folder of its own, with a short path.
         kills: how many are planned.
         rng: of the suite.
-        roles: endless, whom to kill next.
+        deck: whom to kill.
     """
 
     number: int
@@ -73,7 +73,7 @@ class Story:
     scratch: Path
     kills: int
     rng: random.Random
-    roles: Iterator[str]
+    deck: Deck
     rows: list[Row] = field(default_factory=list)
     _reasons: list[str] = field(default_factory=list)
     _runs: int = 0
@@ -108,11 +108,11 @@ class Story:
 
     def _attempt(self, given: list[str], folder: Path) -> Outcome:
         """One process, struck if a kill is left."""
-        strikes = self._plan(folder)
+        moments = self._plan(folder)
         expected = _common(folder)
         with Attempt(given, folder, self.scratch, self.runtime) as attempt:
-            for strike in strikes:
-                if not attempt.strike(strike, self.rng):
+            for moment in moments:
+                if not attempt.strike(moment, self.deck):
                     break
                 self.kills -= 1
             outcome = attempt.finish()
@@ -127,16 +127,16 @@ class Story:
                 shutil.rmtree(self.scratch / name, ignore_errors=True)
         return outcome
 
-    def _plan(self, folder: Path) -> list[Strike]:
+    def _plan(self, folder: Path) -> list[Moment]:
         """The kills of the next process: one, or two where a run goes on by itself."""
         count = min(self.kills, 1)
         if self.runtime.name == "deployment" and self.kills > 1 and self.rng.random() < 0.4:
             count = 2
-        first, strikes = newest(folder / "state", ROBOTS), []
+        first, moments = newest(folder / "state", ROBOTS), []
         for _ in range(count):
-            strikes.append(Strike(draw(self.rng, self.runtime, first), next(self.roles)))
-            first = max(first, strikes[-1].moment.window)
-        return strikes
+            moments.append(draw(self.rng, self.runtime, first))
+            first = max(first, moments[-1].window)
+        return moments
 
     def _judge(self, outcome: Outcome, folder: Path) -> Iterator[Row]:
         """A row for each kill of a process; what was wrong becomes a reason of the run."""

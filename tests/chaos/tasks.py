@@ -80,7 +80,7 @@ ROUND = 20
 _FLOWER = ("federation.clients=2", f"federation.windows_per_round={ROUND}")
 _FLOWER_ROLES = ("launcher", "SuperLink", "SuperExec", "ClientApp", "watchdog")
 
-LOCAL = Runtime("local", WINDOWS, 0, (), ("launcher",), 4.0, 0.2, 0.3, 10.0, 5.0, 120.0)
+LOCAL = Runtime("local", WINDOWS, 0, (), ("launcher",), 4.0, 0.1, 0.3, 10.0, 5.0, 120.0)
 SIMULATION = Runtime(
     "simulation", WINDOWS, ROUND, _FLOWER,
     (*_FLOWER_ROLES, "ServerApp (engine)", "raylet", "Ray GCS", "Ray service"),

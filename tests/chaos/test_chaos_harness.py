@@ -15,12 +15,13 @@ from pathlib import Path
 import pytest
 
 from agent import save_checkpoint
-from chaos.crowd import MARK, Crowd, kill, role_of
+from chaos.crowd import MARK, Crowd, Deck, aim, role_of
 from chaos.moments import FINISHING, JOINING, MIDDLE, ROUND, WRITING, Moment, Watched, draw, newest
 from chaos.tasks import LOCAL, SIMULATION
 from chaos.verdict import damaged, differences, has_ended, is_clear, resumed_window, unfinished
 from conf.places import round_folder, server_folder
 from experiments.cli import main
+from experiments.flower.processes import Process
 
 PATIENCE_S = 20.0
 
@@ -64,7 +65,9 @@ def test_a_crowd_holds_orphans_in_sessions_of_their_own_and_ends_them() -> None:
             time.sleep(0.01)
         roles = crowd.roles()
         assert [row.pid for row in roles["launcher"]] == [launcher.pid]
-        kill(roles["launcher"])
+        target = aim(roles["launcher"][0])
+        assert target is not None
+        assert target.kill()
         launcher.wait()
         assert crowd.wait_gone(0.0) == set(roles["other"])
         assert set(roles["other"]) <= Crowd(launcher.pid, "here").alive()
@@ -73,6 +76,17 @@ def test_a_crowd_holds_orphans_in_sessions_of_their_own_and_ends_them() -> None:
         launcher.kill()
         launcher.communicate()
     assert crowd.alive() == set()
+
+
+def test_every_role_has_its_turn_as_soon_as_it_is_there() -> None:
+    deck = Deck(["a", "b", "c"], random.Random(0))
+    early, late = Process(1, "1"), Process(2, "2")
+    assert deck.pick({"other": [late]}) is None
+    assert deck.pick({"a": [early]}) == ("a", early)
+    everyone = {"a": [early], "b": [late], "c": [early, late], "other": [late]}
+    picked = [deck.pick(everyone) for _ in range(6)]
+    assert sorted(role for role, _ in filter(None, picked[:3])) == ["a", "b", "c"]
+    assert sorted(role for role, _ in filter(None, picked[3:])) == ["a", "b", "c"]
 
 
 # --- Moments --------------------------------------------------------------------------------------
@@ -112,9 +126,8 @@ def test_a_half_written_checkpoint_of_an_earlier_process_is_no_moment(tmp_path: 
     torn = server / "checkpoint-000000000006.writing"
     torn.write_bytes(b"half")
     os.utime(torn, (90.0, 90.0))
-    assert not Watched(tmp_path, 3, since=100.0).reached(Moment(WRITING, 4))
-    assert Watched(tmp_path, 3, since=80.0).reached(Moment(WRITING, 4))
-    assert not Watched(tmp_path, 3, since=80.0).reached(Moment(WRITING, 6))
+    assert not Watched(tmp_path, 3, since=100.0).is_writing()
+    assert Watched(tmp_path, 3, since=80.0).is_writing()
 
 
 @pytest.mark.parametrize("first", [0, 41, 78, 80])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import json
 import random
 import tempfile
@@ -14,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from chaos import report
-from chaos.__main__ import deck, play_reference, shares
+from chaos.__main__ import play_reference, shares
+from chaos.crowd import Deck
 from chaos.story import Row, Story
 from chaos.tasks import ALL, DEPLOYMENT, LOCAL, SIMULATION
 
@@ -34,7 +34,7 @@ def survive(runtime_name: str, scratch: Path, kills: int, seed: int) -> list[Row
     reference = play_reference(scratch / "r")
     own = scratch / "1"
     own.mkdir()
-    rows = Story(1, runtime, reference, own, kills, rng, deck(runtime, rng)).play()
+    rows = Story(1, runtime, reference, own, kills, rng, Deck(runtime.roles, rng)).play()
     assert [row.reason for row in rows if not row.survived] == []
     return rows
 
@@ -61,13 +61,6 @@ def test_a_run_on_flower_survives_a_kill_of_a_random_process(scratch: Path, name
 def test_the_kills_are_shared_among_the_runtimes_and_none_is_left_out() -> None:
     assert [share for _, share in shares([LOCAL, SIMULATION, DEPLOYMENT], 50)] == [20, 15, 15]
     assert sum(share for _, share in shares([LOCAL, SIMULATION], 50)) >= 50
-
-
-def test_every_role_has_its_turn() -> None:
-    roles = deck(SIMULATION, random.Random(0))
-    turns = len(SIMULATION.roles)
-    assert set(itertools.islice(roles, turns)) == set(SIMULATION.roles)
-    assert set(itertools.islice(roles, turns)) == set(SIMULATION.roles)
 
 
 def test_a_runtime_or_a_key_that_is_no_choice_is_named() -> None:
