@@ -149,6 +149,9 @@ class Story:
                 self._reasons.append(f"no clear sentence: {outcome.errors[-800:]!r}")
             if outcome.ended_s > limit_s:
                 self._reasons.append(f"it ended {outcome.ended_s:.0f} s after the kill")
+            for hit in outcome.hits:
+                if hit.role in self.runtime.comes_back and hit.window:
+                    self._reasons.append(f"{hit.role} did not come back: {_ending(outcome)}")
         for hit in outcome.hits:
             row = self._row(hit, outcome)
             row.unfinished = " ".join(unfinished(folder))

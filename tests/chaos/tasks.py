@@ -44,6 +44,8 @@ class Runtime:
             not go on.
         gone_within_s: the longest time from there to the end of every other process.
         patience_s: the longest a whole process may take; it hangs after that.
+        comes_back: roles that are started again when they die, so that the run goes on by itself
+            once it has a checkpoint.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Runtime:
     ends_within_s: float
     gone_within_s: float
     patience_s: float
+    comes_back: tuple[str, ...] = ()
 
     def begin(self, folder: Path) -> list[str]:
         """Overrides of a new run in a folder."""
@@ -79,6 +82,7 @@ WINDOWS = 80
 ROUND = 20
 _FLOWER = ("federation.clients=2", f"federation.windows_per_round={ROUND}")
 _FLOWER_ROLES = ("launcher", "SuperLink", "SuperExec", "ClientApp", "watchdog")
+_COME_BACK = ("SuperLink", "SuperExec", "ServerApp", "SuperNode", "ClientApp", "watchdog")
 
 LOCAL = Runtime("local", WINDOWS, 0, (), ("launcher",), 4.0, 0.1, 0.3, 10.0, 5.0, 120.0)
 SIMULATION = Runtime(
@@ -89,6 +93,6 @@ SIMULATION = Runtime(
 DEPLOYMENT = Runtime(
     "deployment", WINDOWS, ROUND, (*_FLOWER, "federation.on_loss=wait"),
     (*_FLOWER_ROLES, "ServerApp", "SuperNode"),
-    10.0, 20.0, 4.0, 120.0, 30.0, 600.0,
+    10.0, 20.0, 4.0, 120.0, 30.0, 600.0, _COME_BACK,
 )  # fmt: skip
 ALL = {runtime.name: runtime for runtime in (LOCAL, SIMULATION, DEPLOYMENT)}
