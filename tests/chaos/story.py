@@ -91,7 +91,7 @@ class Story:
             for row in self._judge(outcome, folder):
                 self.rows.append(row)
                 tell(row)
-            if outcome.status == 0 or (outcome.status == REFUSED and has_ended(folder)):
+            if outcome.status == 0 or _had_ended(outcome, folder):
                 self._reasons += differences(folder, self.reference)
                 break
             if outcome.status == REFUSED and self._has_nothing(outcome, folder):
@@ -199,6 +199,12 @@ def _common(folder: Path) -> int | None:
         return latest(folder / "state", ROBOTS).window
     except CheckpointError:
         return None
+
+
+def _had_ended(outcome: Outcome, folder: Path) -> bool:
+    """Whether a resume was refused because the run had ended before its process died."""
+    refused = outcome.status == REFUSED and "the run has ended" in outcome.errors
+    return refused and has_ended(folder)
 
 
 def _ending(outcome: Outcome) -> str:
