@@ -1,0 +1,155 @@
+"""The processes of a run under test: who is who, who is still there, who is to die."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import signal
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.flower.processes import Process, command, identify, members, table
+
+MARK = "RISFLEET_CHAOS"
+"""An environment variable that every process of a run under test inherits from the first."""
+
+LAUNCHER = "launcher"
+WATCHDOG = "watchdog"
+OTHER = "other"
+ROLES = {
+    "ClientApp": r"^ray::ClientAppActor|/flwr-clientapp",
+    "ServerApp": r"/flwr-serverapp",
+    "ServerApp (engine)": r"/flwr-simulation",
+    "SuperNode": r"/flower-supernode",
+    "SuperExec": r"/flower-superexec",
+    "SuperLink": r"/flower-superlink",
+    "flwr command": r"/flwr ",
+    WATCHDOG: r"experiments\.flower\.watchdog",
+    "raylet": r"/raylet/raylet",
+    "Ray GCS": r"/gcs_server",
+    "Ray service": r"^ray::|/site-packages/ray/",
+}
+"""What a process is, by the first pattern that its command line holds."""
+
+_POLL_S = 0.05
+
+
+def role_of(line: str) -> str:
+    """The role of a process, the launcher aside, by its command line."""
+    return next((role for role, pattern in ROLES.items() if re.search(pattern, line)), OTHER)
+
+
+class Crowd:
+    """A launcher and all that comes of it, wherever it has moved.
+
+    A process belongs if it carries the mark, was seen below one that does, or is below one of
+    these. Ray's workers overwrite the memory that holds their environment, so it takes both.
+    """
+
+    def __init__(self, launcher: int, mark: str) -> None:
+        """Watch a process that was just started with ``MARK=mark`` in its environment."""
+        self._mark = f"{MARK}={mark}".encode()
+        self._launcher = identify(launcher)
+        self._known: set[Process] = {self._launcher} if self._launcher is not None else set()
+
+    def alive(self) -> set[Process]:
+        """The processes that are there now."""
+        marked = {row for row in table().values() if self._is_marked(row)}
+        alive = members(None, self._known | marked)
+        self._known |= alive
+        return alive
+
+    def roles(self) -> dict[str, list[Process]]:
+        """The processes that are there now, by role; the oldest number first."""
+        found: dict[str, list[Process]] = {}
+        for row in sorted(self.alive(), key=lambda row: row.pid):
+            line = command(row)
+            if line:  # none: it is about to go
+                role = LAUNCHER if row == self._launcher else role_of(line)
+                found.setdefault(role, []).append(row)
+        return found
+
+    def wait_gone(self, within_s: float) -> set[Process]:
+        """Wait until none is there; returns those that still are after that many seconds."""
+        deadline = time.monotonic() + within_s
+        while (left := self.alive()) and time.monotonic() < deadline:
+            time.sleep(_POLL_S)
+        return left
+
+    def end(self) -> None:
+        """Kill whatever is left, process by process."""
+        deadline = time.monotonic() + 10.0
+        while (left := self.alive()) and time.monotonic() < deadline:
+            for row in left:
+                if (target := aim(row)) is not None:
+                    target.kill()
+            time.sleep(_POLL_S)
+
+    def _is_marked(self, row: Process) -> bool:
+        if row.pid == os.getpid():
+            return False
+        try:
+            return self._mark in Path(f"/proc/{row.pid}/environ").read_bytes().split(b"\0")
+        except OSError:
+            return False
+
+
+@dataclass(frozen=True)
+class Target:
+    """A process held by a descriptor, so that a kill is quick and can hit no other."""
+
+    process: Process
+    handle: int
+
+    def kill(self) -> bool:
+        """Kill -9; False if it had gone."""
+        try:
+            signal.pidfd_send_signal(self.handle, signal.SIGKILL)
+        except ProcessLookupError:
+            return False
+        finally:
+            os.close(self.handle)
+        return True
+
+
+def aim(process: Process) -> Target | None:
+    """Take hold of a process; None if it has gone."""
+    try:
+        handle = os.pidfd_open(process.pid)
+    except ProcessLookupError:
+        return None
+    if identify(process.pid) != process:  # its number is another's by now
+        os.close(handle)
+        return None
+    return Target(process, handle)
+
+
+class Deck:
+    """Whom to kill next: every role has its turn, in a random order, as soon as it is there.
+
+    Args:
+        roles: whom to kill at all.
+        rng: of the suite.
+    """
+
+    def __init__(self, roles: Sequence[str], rng: random.Random) -> None:
+        self._roles, self._rng = roles, rng
+        self._cards: list[str] = []
+
+    def pick(self, there: Mapping[str, Sequence[Process]]) -> tuple[str, Process] | None:
+        """A role and a process of it; None if none of the roles is there.
+
+        Args:
+            there: the processes by role.
+        """
+        present = [role for role in self._roles if role in there]
+        if not present:
+            return None
+        if not any(card in present for card in self._cards):
+            self._cards += self._rng.sample(present, len(present))
+        role = next(card for card in self._cards if card in present)
+        self._cards.remove(role)
+        return role, self._rng.choice(there[role])
