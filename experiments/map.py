@@ -142,7 +142,7 @@ def map_figure(config: EnvConfig, radio_map: RadioMap) -> Figure:
 
 def _table(config: EnvConfig, measures: dict[str, dict[str, float | None]]) -> Table:
     ris = config.ris
-    title = f"Gain over no RIS, mean in dB: {ris.response}, M_R = {ris.side}, N_R = {2**ris.bits}"
+    title = f"Mean gain over no RIS in dB\n{ris.response}, M_R = {ris.side}, N_R = {2**ris.bits}"
     table = Table(title=title, title_justify="left")
     table.add_column("phases")
     for column in ("all cells", "AP's shadow"):
