@@ -37,10 +37,10 @@ class Walk:
     def __init__(self, config: EnvConfig, radio_map: RadioMap, worlds: int) -> None:
         destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
         self._world = World(config, destinations, stream(0, Stream.WORLD), worlds, radio_map)
-        self._levels, self._tick = config.power.levels, 0
+        levels, self._tick = config.power.levels, 0
         rng = np.random.default_rng(0)
-        count = actions.count(self._levels)
-        self._moves = rng.integers(count, size=(MADE, worlds, config.robots))
+        chosen = rng.integers(actions.count(levels), size=(MADE, worlds, config.robots))
+        self._moves = [*zip(*actions.decode(chosen, levels), strict=True)]
         self._phases = rng.integers(self._world.phase_actions, size=(MADE, worlds))
         self._world.reset()
 
@@ -50,8 +50,7 @@ class Walk:
         for _ in range(steps):
             at = self._tick % MADE
             self._tick += 1
-            moves = actions.decode(self._moves[at], self._levels)
-            outcome = world.step(self._phases[at], *moves)
+            outcome = world.step(self._phases[at], *self._moves[at])
             world.global_observation(world.local_observations())
             if (outcome.terminated | outcome.truncated).all():
                 world.reset()

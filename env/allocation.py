@@ -73,9 +73,13 @@ class Downlink:
         if self._orthogonal:
             return self._allocate_parts(gain, served)
         order = access.decoding_order(gain, served)
-        place = order + np.arange(0, gain.size, gain.shape[-1])[:, None]
+        place = order
+        if len(gain) > 1:
+            place = order + np.arange(0, gain.size, gain.shape[-1])[:, None]
         ranked = gain.take(place)
-        sent = self._send(ranked, (picks * served).take(place))
+        if np.count_nonzero(served) < served.size:
+            picks = picks * served
+        sent = self._send(ranked, picks.take(place))
         residual = sent.failed if self._resolve == "residual" else None
         rate = access.downlink_rates(ranked, sent.power_w, self.noise_w, residual)
         if self._resolve == "zero":
@@ -116,7 +120,7 @@ class Downlink:
         levels, changed, dropped = self._projection(picks, least_gap)
         power_w = self._power_w.take(levels)
         failed = np.zeros(picks.shape, dtype=bool)
-        if dropped.any():
+        if np.count_nonzero(dropped):
             failed[dropped] = self._failures(gain, power_w, picks)[dropped]
         return _Sent(power_w, failed, changed, dropped)
 

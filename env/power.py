@@ -258,8 +258,8 @@ class Projection:
         """
         if self._remembers:
             index = picks @ self._place
-            keeps = self._gaps.take(index, axis=0) >= least_gap
-            if np.logical_and.reduce(keeps, axis=None) and self._known.take(index).all():
+            short = np.count_nonzero(self._gaps.take(index, axis=0) < least_gap)
+            if not short and np.count_nonzero(self._known.take(index)) == len(index):
                 levels = self._table.take(index, axis=0)
                 return levels, self._changes.take(index), np.zeros(len(picks), dtype=bool)
         return self._search(picks, least_gap)

@@ -230,7 +230,9 @@ class World:
     def global_observation(self, local: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """s_G, float32, shape (B, global_size); ``local`` saves computing s_L again."""
         if self._seen is not None:
-            seen = self._seen.by_all[self.cell, self._robot] * self.driving[..., None]
+            seen = self._seen.by_all[self.cell, self._robot]
+            if np.count_nonzero(self.driving) < self.driving.size:
+                seen *= self.driving[..., None]
             return seen.reshape(len(self.cell), -1)
         if local is None:
             local = self.local_observations()
@@ -253,7 +255,7 @@ class World:
             What the slot brought.
         """
         drove = self.driving
-        running = drove.any(axis=-1)
+        running = np.asarray(drove.any(axis=-1))
         direct = None if self._fading is None else self.direct
         gain = self.radio_map.gain(self.cell, phase_action, direct)
         allocation = self.downlink.allocate(gain, level, drove)
@@ -274,11 +276,9 @@ class World:
         local = self._reward(counted, before_m, after_m, arrived, weights)
         return Outcome(
             rate=allocation.rate,
-            local_reward=np.where(drove, local, 0.0),
-            global_reward=np.where(
-                running,
-                reward.global_reward(np.where(drove, counted, 0.0).sum(axis=-1), weights),
-                0.0,
+            local_reward=_only(drove, local),
+            global_reward=_only(
+                running, reward.global_reward(_only(drove, counted).sum(axis=-1), weights)
             ),
             drove=drove,
             arrived=arrived,
@@ -286,6 +286,11 @@ class World:
             truncated=truncated,
             allocation=allocation,
         )
+
+
+def _only(who: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The values of some, and 0 for all others; same shape, the array itself where all count."""
+    return values if np.count_nonzero(who) == who.size else np.where(who, values, 0.0)
 
 
 def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> NDArray[np.int64]:

@@ -50,7 +50,8 @@ def main(arguments: Sequence[str]) -> int:
         return 2
     single_threaded()
     radio_map = build_radio_map(config)
-    measures = means(gains_db(config, radio_map), radio_map.direct_los)
+    gains, reached = gains_db(config, radio_map), Floor.from_config(config).drivable()
+    measures = means(gains, radio_map.direct_los, reached)
     Console().print(_table(config, measures))
     if given.json:
         write_atomically(Path(given.json), to_json(measures))
@@ -115,17 +116,21 @@ def _random_db(
     return np.asarray(20.0 * np.log10(np.abs(channel)).mean(axis=1))
 
 
-def means(gains: Gains, los: NDArray[np.bool_]) -> dict[str, dict[str, float | None]]:
+def means(
+    gains: Gains, los: NDArray[np.bool_], reached: NDArray[np.bool_]
+) -> dict[str, dict[str, float | None]]:
     """Means in dB over all cells and over those out of the AP's sight (None if there are none).
 
     Args:
         gains: in dB.
         los: whether the AP is in line of sight, shape (cells,).
+        reached: whether robots reach the cell, shape (cells,); others do not count.
     """
+    shadow = reached & ~los
     return {
         name: {
-            "all_db": float(gain.mean()),
-            "shadow_db": None if los.all() else float(gain[~los].mean()),
+            "all_db": float(gain[reached].mean()),
+            "shadow_db": float(gain[shadow].mean()) if shadow.any() else None,
         }
         for name, gain in gains.items()
     }
@@ -142,7 +147,7 @@ def map_figure(config: EnvConfig, radio_map: RadioMap) -> Figure:
 
 def _table(config: EnvConfig, measures: dict[str, dict[str, float | None]]) -> Table:
     ris = config.ris
-    title = f"Gain over no RIS, mean in dB: {ris.response}, M_R = {ris.side}, N_R = {2**ris.bits}"
+    title = f"Mean gain over no RIS in dB\n{ris.response}, M_R = {ris.side}, N_R = {2**ris.bits}"
     table = Table(title=title, title_justify="left")
     table.add_column("phases")
     for column in ("all cells", "AP's shadow"):

@@ -34,7 +34,8 @@ COLUMNS = {
     "path_ratio": "path",
 }
 UNITS = (
-    "EE in bit/s/Hz/J; sum and min: sum rate and least mean rate in bit/s/Hz; path: ratio.\n"
+    "EE in bit/s/Hz/J; sum and min: sum rate and least mean rate in bit/s/Hz;\n"
+    "path: slots driven over the fewest possible.\n"
     "Shortest ways have canonical powers, or best phases and powers (best powers)."
 )
 ORDER = "in this order: best phases for the policy's motion and power picks, best powers as well"

@@ -126,7 +126,9 @@ def test_at_the_same_mean_rate_a_longer_way_is_less_efficient(mean_rate, first, 
 
 def test_a_robot_has_four_directions_times_the_power_levels_of_actions():
     assert actions.count(6) == 24
+    # 14 = 2 * 6 + 3 - 1: east, at the third level.
     assert actions.encode(np.array(2), np.array(3), 6) == 14
+    assert actions.decode(np.array(14), 6) == (2, 3)
 
 
 @given(st.integers(1, 12))

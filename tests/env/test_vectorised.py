@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 from collections.abc import Iterator
 from typing import Any
@@ -36,6 +37,14 @@ GRID: dict[str, dict[str, Any]] = {
     "fading_each_slot": {"channel": {"fading": "slot"}},
     "random_tasks": {"tasks": {"destination": "random"}},
     "common_task": {"tasks": {"destination": "common"}},
+    "codebook": {"ris": {"response": "near", "side": 4, "action": "codebook", "sectors": [2, 2]}},
+    "corridor": {"plan": "corridor", "reward": {"distance": "way"}},
+    "hall_without_collisions": {"plan": "hall", "robots": 4, "collisions": "block"},
+    "as_many_robots_as_there_may_be": {
+        "robots": 64,
+        "access": "oma",
+        "tasks": {"destination_spacing_m": 1.0},
+    },
 }
 each_world = pytest.mark.parametrize("config", GRID.values(), ids=GRID)
 
@@ -90,6 +99,17 @@ def test_the_views_keep_the_libraries_rules(config: dict[str, Any]) -> None:
     check_env(gymnasium.make(env.SINGLE_ROBOT, config=short).unwrapped, skip_render_check=True)
     parallel_api_test(parallel_env(config=short), num_cycles=3 * SLOTS)
     parallel_seed_test(lambda: parallel_env(config=short), num_cycles=SLOTS)
+
+
+@each_world
+def test_a_pickled_fleet_goes_on_alike_and_draws_the_same(config: dict[str, Any]) -> None:
+    view = parallel_env(config={**config, "motion": SHORT}, render_mode="rgb_array")
+    view.reset(seed=1)
+    twin = pickle.loads(pickle.dumps(view))
+    moves = {agent: view.action_space(agent).sample() for agent in view.agents}
+    first, second = view.step(moves), twin.step(moves)
+    assert first[1:] == second[1:]
+    np.testing.assert_array_equal(view.render(), twin.render())
 
 
 @each_world

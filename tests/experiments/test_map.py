@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from env.radio_map import build_radio_map
@@ -68,12 +69,19 @@ def test_where_the_ap_sees_every_cell_there_is_no_shadow(tiny_overrides, capsys)
     open_floor = [*tiny_overrides, "env.walls.segments=[]"]
     config = checked(open_floor).env
     tables = build_radio_map(config)
-    found = means(gains_db(config, tables), tables.direct_los)
+    found = means(gains_db(config, tables), tables.direct_los, np.ones(48, dtype=bool))
     assert all(row["shadow_db"] is None for row in found.values())
     assert main(["map", *open_floor]) == 0
     rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
     assert len(rows) == len(found)
     assert all(row.split("│")[3].strip() == "-" for row in rows)
+
+
+def test_cells_that_nobody_reaches_do_not_count():
+    gains, los = {"a": np.array([1.0, 2.0, 4.0, 9.0])}, np.array([True, True, False, False])
+    every, some = np.ones(4, dtype=bool), np.array([True, True, True, False])
+    assert means(gains, los, every) == {"a": {"all_db": 4.0, "shadow_db": 6.5}}
+    assert means(gains, los, some) == {"a": {"all_db": 7 / 3, "shadow_db": 4.0}}
 
 
 def test_a_run_with_a_codebook_trains_an_access_point_with_an_output_for_each_beam(

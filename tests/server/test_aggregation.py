@@ -78,6 +78,15 @@ def play(aggregate: Aggregator, windows: Iterable[int], current: Weights, robots
 # --- The rules ------------------------------------------------------------------------------------
 
 
+def test_the_mean_of_eq_12_by_hand() -> None:
+    moved = np.array(
+        [[[1, 2], [0, 1]], [[2, 4], [3, 1]], [[6, 0], [3, 4]]], dtype=np.float32
+    )  # three robots' online and target weights
+    found = aggregator("fedavg", 3).aggregate(1, np.zeros((2, 2), dtype=np.float32), moved)
+    # (1 + 2 + 6) / 3, (2 + 4 + 0) / 3; (0 + 3 + 3) / 3, (1 + 1 + 4) / 3.
+    assert found.tolist() == [[3, 2], [2, 2]]
+
+
 @pytest.mark.parametrize("rule", ["fedavg", "fedprox"])
 @pytest.mark.parametrize("robots", [1, 2, 3, 7])
 def test_the_mean_is_within_half_an_ulp_of_the_exact_mean(rule: str, robots: int) -> None:
