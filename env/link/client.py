@@ -8,6 +8,9 @@ import ssl
 import time
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from env.link.errors import (
     Disconnected,
     FrameError,
@@ -173,24 +176,27 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
                 uploaded = message.window
                 line.say(encode(Weights(message.window, given)))
         elif isinstance(message, Weights) and message.window == uploaded:
-            if message.weights.shape != (2, n_parameters):
-                raise FrameError(f"weights of shape {message.weights.shape}, not {2, n_parameters}")
-            handler.download(message.window, message.weights)
+            handler.download(message.window, _fitting(message.weights, n_parameters))
             uploaded = -1
         elif isinstance(message, Halt):
             uploaded = -1
             line.say(encode(Ready(message.number, tuple(handler.windows()))))
         elif isinstance(message, Begin):
             model = message.model
-            if model is not None:
-                model = checked_weights(model, (2, n_parameters))
-            handler.begin(message.window, model)
+            handler.begin(message.window, None if model is None else _fitting(model, n_parameters))
             uploaded = -1
             line.say(encode(Ready(message.number)))
         elif isinstance(message, Failure):
             raise ServerLost(f"the server has stopped: {message.reason}")
         else:
             raise FrameError(f"{type(message).__name__} out of turn")
+
+
+def _fitting(model: NDArray[np.float32], n_parameters: int) -> NDArray[np.float32]:
+    """A model of the server's, if it has the shape that was agreed."""
+    if model.shape != (2, n_parameters):
+        raise FrameError(f"weights of shape {model.shape}, not {2, n_parameters}")
+    return model
 
 
 def _connected(

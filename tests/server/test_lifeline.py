@@ -325,7 +325,7 @@ def test_a_client_that_fails_again_and_again_ends_the_run_with_its_reason(
 
 def test_a_robots_own_failure_is_not_waited_out(deployed: Tiny, run: Any, at_tick: Any) -> None:
     at_tick(33, 2, OSError("no space left on device"))
-    with pytest.raises(RuntimeError, match="robot 2 failed .* no space left on device"):
+    with pytest.raises(RuntimeError, match=r"robot 2 failed .* no space left on device"):
         run(deployed(), FakeGrid(3))
 
 
@@ -350,7 +350,7 @@ def test_states_that_have_gone_are_not_taken_for_a_beginning(
         return train(message, context)
 
     at_tick(85, 1, KILLED)
-    with pytest.raises(RoundError, match="no checkpoint in common with the server, .* 4, 6, 8"):
+    with pytest.raises(RoundError, match=r"no checkpoint in common with the server, .* 4, 6, 8"):
         run(config, FakeGrid(3, {1: forgetful}))
     assert checkpoints(server_folder(state))
 
