@@ -28,7 +28,6 @@ from env.link.layout import (
     RECORD,
     STEP,
     WEIGHTS,
-    WINDOW,
     Kind,
     frame_size,
 )
@@ -121,8 +120,9 @@ def _encode_begin(begin: Begin) -> bytes:
 
 
 def _encode_ready(ready: Ready) -> bytes:
-    windows = np.array(ready.windows[-MOST_WINDOWS:], WINDOW)
-    return _framed(Kind.READY, READY.pack(ready.number, len(windows)), windows.tobytes())
+    windows = ready.windows[-MOST_WINDOWS:]
+    head = READY.pack(ready.number, len(windows))
+    return _framed(Kind.READY, head, struct.pack(f"<{len(windows)}I", *windows))
 
 
 def _encode_hello(hello: Hello) -> bytes:
@@ -219,9 +219,9 @@ def _decode_begin(body: memoryview) -> Begin:
 
 def _decode_ready(body: memoryview) -> Ready:
     number, count = READY.unpack_from(body)
-    if len(body) != READY.size + count * WINDOW.itemsize:
+    if len(body) != READY.size + 4 * count:
         raise ValueError(f"{len(body)} bytes are not {count} windows")
-    return Ready(number, tuple(np.frombuffer(body, WINDOW, count, READY.size).tolist()))
+    return Ready(number, struct.unpack_from(f"<{count}I", body, READY.size))
 
 
 def _decode_halt(body: memoryview) -> Halt:

@@ -4,8 +4,6 @@ import math
 import struct
 from enum import IntEnum
 
-import numpy as np
-
 from env.link.errors import TEXT_LIMIT, FrameError
 from env.link.messages import MAX_ROBOTS, UPDATE, VERSION
 
@@ -17,7 +15,6 @@ WEIGHTS = struct.Struct("<IB3xIII")
 BEGIN = struct.Struct("<IIII")
 HALT = struct.Struct("<I")
 READY = struct.Struct("<IH")
-WINDOW = np.dtype("<u4")
 MOST_WINDOWS = 256
 RECORD = UPDATE.itemsize
 
@@ -48,7 +45,7 @@ BODY_LIMITS = {
     Kind.ACTIONS: ACTIONS.size + MAX_ROBOTS * 4,
     Kind.WEIGHTS: WEIGHTS.size + 2**30,
     Kind.BEGIN: BEGIN.size + 2**30,
-    Kind.READY: READY.size + MOST_WINDOWS * WINDOW.itemsize,
+    Kind.READY: READY.size + 4 * MOST_WINDOWS,
     Kind.HALT: HALT.size,
 }
 
