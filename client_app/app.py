@@ -116,7 +116,7 @@ def _serve(order: Order, keeper: Keeper) -> None:
     context: ssl.SSLContext | None = None
     if order.certificate:
         context = client_context(order.certificate)
-    log.info("joining %s:%d", *order.address)
+    log.info("joining %s:%d %s TLS", *order.address, "with" if context else "without")
     serve(
         order.address,
         order.robots,

@@ -37,6 +37,7 @@ _NOTHING_YET: dict[str, Any] = {
     "message": "",
     "written_at": None,
     "tick": 0,
+    "window": 0,
     "episode": 0,
     "episodes": 1,
     "max_ticks": None,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -14,6 +15,19 @@ from experiments.display import describe, read_progress, silent_s
 
 SILENT_S = 10.0
 """A run that writes nothing for longer may have died."""
+
+
+def _federation(status: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Checkpoint, Flower round and clients, as far as the run has them."""
+    if status.get("checkpoint") is not None:
+        yield "last checkpoint", f"window {status['checkpoint']} of {status['window']}"
+    if status.get("round"):
+        yield "round", str(status["round"])
+    for client in status.get("clients", ()):
+        there = "connected" if client["connected"] else "not connected"
+        robots = ", ".join(map(str, client["robots"]))
+        sent = client["bytes_sent"] + client["bytes_received"]
+        yield f"robot {robots}", f"{there}, {sent / 1e6:.1f} MB on the link"
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -29,6 +43,8 @@ def main(arguments: Sequence[str]) -> int:
     table = Table.grid(padding=(0, 2))
     for name, text in describe(status):
         table.add_row(name or "state", text)
+    for name, text in _federation(status):
+        table.add_row(name, text)
     if status["message"]:
         table.add_row("message", Text(str(status["message"])))
     silence = silent_s(status)

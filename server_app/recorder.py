@@ -179,7 +179,8 @@ class Recorder:
         self.history = History(self._metrics.kept, rows[::2], rows[1::2])
         undone = max([-1, *(int(row["tick"]) for row in (*self.history.episodes, *rows))]) + 1
         self._events = _event_writer(folder, undone) if config.run.tensorboard else None
-        self.report("starting", Progress())
+        tick = int(self.history.episodes[-1]["tick"]) if self.history.episodes else 0
+        self.report("starting", Progress(tick, 0, len(self.history.episodes)))
 
     def on_start(self) -> None:
         """Start-up is over."""
