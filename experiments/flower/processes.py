@@ -20,6 +20,10 @@ MARKER = "RISFLEET_SESSION"
 _PROC = Path("/proc")
 _STARTED = 19  # position of the start time in /proc/PID/stat after the command's name
 
+_SETTLE_S = 0.25
+"""A process that has just been started shows no environment for some milliseconds (measured: 21 on
+a busy machine): if the one that started it has died, it cannot be found until then."""
+
 
 @dataclass(frozen=True)
 class Process:
@@ -92,11 +96,12 @@ def terminate(
     """
     known = set(roots)
     asked: set[Process] = set()
-    begin = time.monotonic()
-    while alive := members(marker, known):
+    begin = seen = time.monotonic()
+    while (alive := members(marker, known)) or time.monotonic() - seen < _SETTLE_S:
         elapsed = time.monotonic() - begin
         if elapsed > grace_s + kill_s:
             break
+        seen = time.monotonic() if alive else seen
         known |= alive
         late = elapsed > grace_s
         for process in alive if late else alive - asked:

@@ -100,11 +100,11 @@ def _play_all(
                 console.print(f"run {number} NOT SURVIVED: {reason}", highlight=False)
 
 
-def play_reference(scratch: Path) -> Path:
-    """The task in one process, undisturbed; returns the run's folder."""
+def play_reference(scratch: Path, runtime: Runtime = LOCAL) -> Path:
+    """The task undisturbed, by default in one process; returns the run's folder."""
     scratch.mkdir()
     folder = scratch / "run"
-    with Attempt(LOCAL.begin(folder), folder, scratch, LOCAL) as attempt:
+    with Attempt(runtime.begin(folder), folder, scratch, runtime) as attempt:
         outcome = attempt.finish()
     if outcome.status != 0:
         raise RuntimeError(f"the reference run failed: {outcome.errors}")

@@ -14,7 +14,7 @@ from pathlib import Path
 from chaos.crowd import LAUNCHER, MARK, WATCHDOG, Crowd, Deck, aim
 from chaos.moments import WRITING, Moment, Watched
 from chaos.tasks import ROBOTS, Runtime
-from experiments.flower.processes import Process
+from experiments.flower.processes import Process, command
 
 ROOT = Path(__file__).parents[2]
 HUNG = -1000
@@ -143,9 +143,10 @@ class Attempt:
         self._look_further()
         ended = time.monotonic()
         status = self._process.poll()
-        self._crowd.wait_gone(self._runtime.gone_within_s if status is not None else 0.0)
-        gone_s = time.monotonic() - ended
-        left = self._crowd.roles()
+        left, gone_s = self._crowd.wait_gone(
+            self._runtime.gone_within_s if status is not None else 0.0
+        )
+        left_lines = [f"{row.pid} {command(row)[:200]}" for row in left]
         self._crowd.end()
         self._process.wait()
         return Outcome(
@@ -155,7 +156,7 @@ class Attempt:
             hits=self._hits,
             ended_s=ended - (self._hits[-1].at if self._hits else self._began),
             gone_s=gone_s,
-            left=[f"{role} {row.pid}" for role, rows in left.items() for row in rows],
+            left=left_lines,
         )
 
     def _targets(self) -> dict[str, list[Process]]:

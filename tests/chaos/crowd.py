@@ -30,11 +30,15 @@ ROLES = {
     WATCHDOG: r"experiments\.flower\.watchdog",
     "raylet": r"/raylet/raylet",
     "Ray GCS": r"/gcs_server",
-    "Ray service": r"^ray::|/site-packages/ray/",
+    "Ray agent": r"^ray::|/dashboard/agent\.py|/runtime_env/agent/main\.py",
+    "Ray service": r"/site-packages/ray/",
 }
 """What a process is, by the first pattern that its command line holds."""
 
 _POLL_S = 0.05
+_SETTLE_S = 1.0
+"""A process that is just being started shows neither its environment nor, if the one that started
+it has died, a parent: only when none was seen for this long, all are gone."""
 
 
 def role_of(line: str) -> str:
@@ -72,12 +76,25 @@ class Crowd:
                 found.setdefault(role, []).append(row)
         return found
 
-    def wait_gone(self, within_s: float) -> set[Process]:
-        """Wait until none is there; returns those that still are after that many seconds."""
-        deadline = time.monotonic() + within_s
-        while (left := self.alive()) and time.monotonic() < deadline:
+    def wait_gone(self, within_s: float) -> tuple[set[Process], float]:
+        """Wait until none is there.
+
+        Args:
+            within_s: the longest wait.
+
+        Returns:
+            Those that still are there, and the seconds until the last was seen.
+        """
+        began = seen = time.monotonic()
+        left = self.alive()
+        while (now := time.monotonic()) < began + within_s:
+            if left:
+                seen = now
+            elif now - seen > _SETTLE_S:
+                break
             time.sleep(_POLL_S)
-        return left
+            left = self.alive()
+        return left, seen - began
 
     def end(self) -> None:
         """Kill whatever is left, process by process."""

@@ -120,7 +120,8 @@ class Story:
         if window is not None and window != expected:
             self._reasons.append(f"resumed from window {window} where {expected} is the last")
         if outcome.left:
-            self._reasons.append(f"left behind: {', '.join(outcome.left)}")
+            after = "; ".join(hit.role for hit in outcome.hits) or "nothing"
+            self._reasons.append(f"left behind after a kill of {after}: {', '.join(outcome.left)}")
         if folders := [path.name for path in self.scratch.glob("rf-*")]:
             self._reasons.append(f"left behind: the folders {folders}")
             for name in folders:

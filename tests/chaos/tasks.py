@@ -87,7 +87,7 @@ _COME_BACK = ("SuperLink", "SuperExec", "ServerApp", "SuperNode", "ClientApp", "
 LOCAL = Runtime("local", WINDOWS, 0, (), ("launcher",), 4.0, 0.1, 0.3, 10.0, 5.0, 120.0)
 SIMULATION = Runtime(
     "simulation", WINDOWS, ROUND, _FLOWER,
-    (*_FLOWER_ROLES, "ServerApp (engine)", "raylet", "Ray GCS", "Ray service"),
+    (*_FLOWER_ROLES, "ServerApp (engine)", "raylet", "Ray GCS", "Ray agent", "Ray service"),
     14.0, 14.0, 4.0, 60.0, 30.0, 240.0,
 )  # fmt: skip
 DEPLOYMENT = Runtime(

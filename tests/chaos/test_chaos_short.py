@@ -16,9 +16,10 @@ from chaos import report
 from chaos.__main__ import play_reference, shares
 from chaos.crowd import Deck
 from chaos.story import Row, Story
-from chaos.tasks import ALL, DEPLOYMENT, LOCAL, SIMULATION
+from chaos.tasks import ALL, DEPLOYMENT, LOCAL, SIMULATION, Runtime
 
-KILLS = 4
+SHORT = replace(LOCAL, windows=40)
+KILLS = 3
 
 
 @pytest.fixture
@@ -28,10 +29,9 @@ def scratch() -> Iterator[Path]:
         yield Path(folder)
 
 
-def survive(runtime_name: str, scratch: Path, kills: int, seed: int) -> list[Row]:
+def survive(runtime: Runtime, reference: Path, scratch: Path, kills: int, seed: int) -> list[Row]:
     """Plays a run with some kills; fails where one was not survived."""
-    runtime, rng = ALL[runtime_name], random.Random(seed)
-    reference = play_reference(scratch / "r")
+    rng = random.Random(seed)
     own = scratch / "1"
     own.mkdir()
     rows = Story(1, runtime, reference, own, kills, rng, Deck(runtime.roles, rng)).play()
@@ -41,7 +41,7 @@ def survive(runtime_name: str, scratch: Path, kills: int, seed: int) -> list[Row
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
 def test_a_run_in_one_process_survives_kills_at_random_moments(scratch: Path) -> None:
-    rows = survive("local", scratch, KILLS, seed=5)
+    rows = survive(SHORT, play_reference(scratch / "r", SHORT), scratch, KILLS, seed=5)
     assert len(rows) == KILLS
     assert {row.role for row in rows} == {"launcher"}
 
@@ -52,7 +52,8 @@ def test_a_run_in_one_process_survives_kills_at_random_moments(scratch: Path) ->
 def test_a_run_on_flower_survives_a_kill_of_a_random_process(scratch: Path, name: str) -> None:
     if missing := ALL[name].missing():
         pytest.skip(missing)
-    assert len(survive(name, scratch, 1, seed=2)) == 1
+    reference = play_reference(scratch / "r")
+    assert len(survive(ALL[name], reference, scratch, 1, seed=2)) == 1
 
 
 # --- The plan -------------------------------------------------------------------------------------

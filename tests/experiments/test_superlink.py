@@ -119,6 +119,28 @@ def test_a_process_is_found_by_its_marker_after_its_parents_are_gone() -> None:
 
 
 @needs_proc
+def test_a_process_that_shows_its_marker_late_is_ended_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looks = []
+    is_marked = processes._is_marked
+
+    def late(pid: int, marker: str) -> bool:
+        looks.extend([pid] if pid == child.pid else [])
+        return len(looks) > 2 and is_marked(pid, marker)
+
+    child = subprocess.Popen(["sleep", "600"], env={**os.environ, MARKER: "late"})
+    try:
+        wait_until(lambda: members("late") != set())
+        monkeypatch.setattr(processes, "_is_marked", late)
+        assert terminate("late") == set()
+        assert child.poll() is not None
+    finally:
+        child.kill()
+        child.wait()
+
+
+@needs_proc
 def test_a_process_without_the_marker_is_found_below_one_that_has_it() -> None:
     bare = "import os, sys; os.execve(sys.executable, ['p', '-c', 'input()'], {})"
     script = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {bare!r}])"
