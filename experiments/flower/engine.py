@@ -16,13 +16,15 @@ from server_app.preflight import max_concurrent_clients
 
 _SIMULATION = "flwr-simulation"
 _CLIENT = "ray::ClientAppActor"
+_RAY = "raylet/raylet"
 
 
 class Engine:
     """The engine's processes, found below the SuperLink's (on Linux; elsewhere all seems well).
 
     Attributes:
-        running: whether the simulation's main process was there at the last look.
+        running: whether the simulation's main process was there at the last look, and Ray's too
+            as long as that has to start the clients. Once they are there, they need it no more.
         has_clients: whether a process that runs clients has ever been there.
     """
 
@@ -32,13 +34,17 @@ class Engine:
         self._can_look = bool(command(superlink)) and identify(superlink.pid) is not None
         self.running = True
         self.has_clients = not self._can_look
+        self._has_ray = False
 
     def look(self) -> None:
         """Look at the processes again; a few milliseconds."""
         if not self._can_look:
             return
         commands = [command(row) for row in members(None, [self._superlink])]
-        self.running = any(_SIMULATION in text for text in commands)
+        ray = any(_RAY in text.partition(" ")[0] for text in commands)
+        stranded = self._has_ray and not ray and not self.has_clients
+        self.running = any(_SIMULATION in text for text in commands) and not stranded
+        self._has_ray |= ray
         self.has_clients |= any(text.startswith(_CLIENT) for text in commands)
 
 
@@ -78,7 +84,11 @@ class SimulationSuperLink(SuperLink):
     def _death(self) -> str:
         assert self._engine is not None
         self._engine.look()
-        return "" if self._engine.running else "the simulation's process ended without a word"
+        return (
+            ""
+            if self._engine.running
+            else "the simulation's process, or Ray's, ended without a word"
+        )
 
     def _require_progress(self, run_id: int, status: Status) -> None:
         super()._require_progress(run_id, status)
