@@ -81,6 +81,7 @@ class Clients:
         self._opening = Opening(0)
         self._tokens: dict[int, str] = {}
         self._pending: dict[Block, str] = {}
+        self._sent_at: dict[Block, float] = {}
         self._failures: dict[Block, int] = dict.fromkeys(blocks, 0)
         self._known: set[int] = set()
         self._held: dict[int, frozenset[int]] = {}
@@ -147,6 +148,7 @@ class Clients:
         free = self._link.free()
         online = set(self._grid.get_node_ids()) if free else set()
         for block in free:
+            self._forget_dead(block, online)
             node = self._node_for(block, online)
             if node is not None:
                 self._restart(block, node)
@@ -202,6 +204,7 @@ class Clients:
         if len(sent) != len(messages):
             raise RoundError(f"Flower took {len(sent)} of {len(messages)} messages")
         self._pending |= dict(zip(blocks, sent, strict=True))
+        self._sent_at |= dict.fromkeys(blocks, time.monotonic())
 
     def _train_message(self, block: Block) -> Message:
         host, port = self._link.address
@@ -245,6 +248,18 @@ class Clients:
         return f"round {self.round}: the Flower client of {named(block)} failed: {reason}"
 
     # --- Replacing --------------------------------------------------------------------------------
+
+    def _forget_dead(self, block: Block, online: set[int]) -> None:
+        """Expects no reply to a message any more whose node went offline, or kept silent too long.
+
+        A SuperNode that is started again with the same key is the same node to Flower, but knows
+        nothing of the message.
+        """
+        late = (
+            time.monotonic() - self._sent_at.get(block, 0.0) > self._config.runtime.start_timeout_s
+        )
+        if self.places[block] not in online or late:
+            self._pending.pop(block, None)
 
     def _node_for(self, block: Block, online: set[int]) -> int | None:
         """The node on which to start a block's client anew; None where none is, or not yet."""

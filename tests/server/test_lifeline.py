@@ -225,6 +225,28 @@ def test_a_node_that_has_gone_is_replaced_by_one_that_joins(
     assert [m.metadata.dst_node_id for m in grid.sent] == [100, 101, 102, 103]
 
 
+def test_a_node_that_comes_back_under_its_number_is_asked_again(
+    deployed: Tiny, run: Any, digests: Any, at_tick: Any
+) -> None:
+    """A SuperNode with a key is the same node when it is started again, and has forgotten all."""
+    config = deployed()
+    expected = digests(config)
+    grid = FakeGrid(3)
+    at_tick(52, 1, KILLED)
+
+    def dies_with_its_node(message: Message, context: Context) -> Message | None:
+        try:
+            return train(message, context)
+        except ServerLost:
+            grid.nodes = [100, 102]
+            threading.Timer(1.0, lambda: setattr(grid, "nodes", [100, 101, 102])).start()
+            return None
+
+    grid.clients = {1: dies_with_its_node}
+    assert run(config, grid)["digest"] == expected
+    assert [m.metadata.dst_node_id for m in grid.sent] == [100, 101, 102, 101]
+
+
 def test_a_checkpoint_that_one_robot_lacks_is_not_gone_back_to(
     deployed: Tiny, run: Any, digests: Any, at_tick: Any
 ) -> None:
