@@ -198,13 +198,17 @@ class Clients:
         self._tokens |= {robot: secrets.token_urlsafe(TOKEN_BYTES) for robot in robots}
 
     def _send(self, blocks: list[Block]) -> None:
-        """Sends a train message to the client of each block."""
+        """Sends a train message to the client of each block.
+
+        Flower does not take one for a node that has gone: where the run waits, it is sent again.
+        """
         messages = [self._train_message(block) for block in blocks]
-        sent = [name for name in self._grid.push_messages(messages) if name]  # None: refused
-        if len(sent) != len(messages):
+        names = list(self._grid.push_messages(messages))
+        sent = {block: name for block, name in zip(blocks, names, strict=False) if name}
+        if len(sent) != len(messages) and not self._waits:
             raise RoundError(f"Flower took {len(sent)} of {len(messages)} messages")
-        self._pending |= dict(zip(blocks, sent, strict=True))
-        self._sent_at |= dict.fromkeys(blocks, time.monotonic())
+        self._pending |= sent
+        self._sent_at |= dict.fromkeys(sent, time.monotonic())
 
     def _train_message(self, block: Block) -> Message:
         host, port = self._link.address

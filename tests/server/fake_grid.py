@@ -42,6 +42,9 @@ class FakeGrid:
 
     def push_messages(self, messages: Iterable[Message]) -> Iterable[str]:
         for message in messages:
+            if message.metadata.dst_node_id not in self.nodes:
+                yield None  # type: ignore[misc]
+                continue
             sent = uuid.uuid4().hex
             message.metadata.__dict__["_message_id"] = sent
             self.sent.append(message)

@@ -225,6 +225,26 @@ def test_a_node_that_has_gone_is_replaced_by_one_that_joins(
     assert [m.metadata.dst_node_id for m in grid.sent] == [100, 101, 102, 103]
 
 
+def test_a_node_that_goes_between_rounds_is_waited_for(
+    deployed: Tiny, run: Any, digests: Any
+) -> None:
+    """Its message is not taken until it is back."""
+    config = deployed({"federation.windows_per_round": 3})
+    expected = digests(config)
+    grid = FakeGrid(3)
+
+    def leaves_once(message: Message, context: Context) -> Message:
+        reply = train(message, context)
+        if len(grid.sent) == 3:
+            grid.nodes = [100, 102]
+            threading.Timer(1.0, lambda: setattr(grid, "nodes", [100, 101, 102])).start()
+            raise OSError("stopped before its reply")
+        return reply
+
+    grid.clients = {1: leaves_once}
+    assert run(config, grid)["digest"] == expected
+
+
 def test_a_node_that_comes_back_under_its_number_is_asked_again(
     deployed: Tiny, run: Any, digests: Any, at_tick: Any
 ) -> None:
