@@ -72,7 +72,8 @@ class Floor:
         """
         index = np.floor(np.asarray(position_m) / self.cell_m).astype(np.int64)
         if (index < 0).any() or (index >= (self.columns, self.rows)).any():
-            raise ValueError(f"position {position_m} lies outside the room of {self.size_m} m")
+            at, (width_m, depth_m) = np.asarray(position_m).tolist(), self.size_m
+            raise ValueError(f"{at} lies outside the room of {width_m:g} m x {depth_m:g} m")
         return np.asarray(index[..., 1] * self.columns + index[..., 0])
 
     def neighbours(self) -> NDArray[np.int64]:

@@ -189,17 +189,19 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     def _start_cells(self, starts_m: Any) -> NDArray[np.int64]:
         position = np.asarray(starts_m, dtype=np.float64)
+        key = f"options.starts_m={position.tolist()}"
         if position.shape != (self.world.robots, 2) or not np.isfinite(position).all():
-            allowed = f"{self.world.robots} positions [x, y] in m"
-            raise ValueError(f"options.starts_m={starts_m!r}: allowed is {allowed}")
+            raise ValueError(f"{key}: allowed is {self.world.robots} positions [x, y] in m")
+        if (position < 0).any() or (position >= self.world.floor.size_m).any():
+            raise ValueError(f"{key}: allowed is inside the room")
         cell = self.world.floor.cell_at(position)
         if (cell == self.world.destinations).any():
-            raise ValueError(f"options.starts_m={starts_m!r}: allowed is off the destination")
+            raise ValueError(f"{key}: allowed is off the destination")
         cut_off = self.world.slots_to_go[cell, np.arange(len(cell))] == UNREACHABLE
         if cut_off.any():
-            raise ValueError(f"options.starts_m={starts_m!r}: allowed is with a way to drive")
+            raise ValueError(f"{key}: allowed is with a way to drive")
         if self.config.collisions == "block" and len({*cell.tolist()}) < len(cell):
-            raise ValueError(f"options.starts_m={starts_m!r}: allowed is in cells of their own")
+            raise ValueError(f"{key}: allowed is in cells of their own")
         return cell
 
     def step(

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from env.allocation import Downlink
 from env.config import EnvConfig, PowerConfig
-from env.power import MAX_TABLE, fractions, project_levels, scaled_to_budget
+from env.power import MAX_TABLE, fractions, scaled_to_budget
+from env.power_search import project_levels
 
 NEVER = 2.0
 
@@ -97,7 +98,10 @@ def test_with_margins_it_finds_the_nearest_one_that_keeps_them_or_none(case):
 @settings(deadline=None, max_examples=100)
 def test_a_search_that_widens_step_by_step_and_row_by_row_finds_the_same(case):
     picks, levels, gaps = case
-    with mock.patch("env.power.FIRST_EXCESS", 1), mock.patch("env.power.MAX_CELLS", 1):
+    with (
+        mock.patch("env.power_search.FIRST_EXCESS", 1),
+        mock.patch("env.power_search.MAX_CELLS", 1),
+    ):
         assert project(picks, levels, gaps) == nearest(picks, levels, gaps)
 
 

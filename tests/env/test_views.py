@@ -371,5 +371,8 @@ def test_wrong_calls_are_named() -> None:
         view.step({"robot_0": 0})
     goal = view.world.floor.centres()[view.world.destinations].tolist()
     for starts in ([[1.0, 1.0, 1.0]], [[40.0, 1.0]], [[float("nan"), 1.0]], goal):
-        with pytest.raises(ValueError, match=r"starts_m|outside the room"):
-            view.reset(options={"starts_m": starts})
+        for given in (starts, np.array(starts)):
+            with pytest.raises(
+                ValueError, match=r"^options\.starts_m=\[\[.*\]\]: allowed is [^\n]*$"
+            ):
+                view.reset(options={"starts_m": given})
