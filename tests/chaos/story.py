@@ -20,7 +20,7 @@ REFUSED = 2
 ATTEMPTS = 12
 """Processes that one run may take; far more than it is struck."""
 
-NOTHING_YET = ("holds no checkpoint that the server and all", "allowed is the folder of a run")
+NOTHING_YET = ("holds no checkpoint that", "allowed is the folder of a run")
 """What a resume says of a run that died before its first checkpoint."""
 
 
