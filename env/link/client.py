@@ -148,10 +148,13 @@ class _Line:
 
 
 def _attend(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
-    """Serve steps until the farewell; what goes wrong here is told to the server."""
+    """Serve steps until the farewell; what goes wrong here is told to the server.
+
+    A process that is told to stop has not failed: to the server it is lost, and may come back.
+    """
     try:
         _converse(line, handler, count, n_parameters)
-    except ServerLost:
+    except (ServerLost, SystemExit, KeyboardInterrupt):
         raise
     except BaseException as error:
         line.wire.finish(encode(Failure(described(error))), linger_s=1.0)

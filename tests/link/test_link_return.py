@@ -66,6 +66,20 @@ def test_a_robot_that_cannot_go_there_says_why(link):
     assert isinstance(client.join(), OSError)
 
 
+@pytest.mark.parametrize("stop", [SystemExit, KeyboardInterrupt])
+def test_a_client_that_is_told_to_stop_is_lost_and_has_not_failed(link, stop):
+    """As Flower stops a client whose SuperNode has died."""
+    (client,) = link.connected((0,))
+
+    def step(told):
+        raise stop
+
+    client.handler.step = step
+    with pytest.raises(RobotLost, match="robot 0 lost at tick 0"):
+        ask(link.server, 1, 0)
+    assert isinstance(client.join(), stop)
+
+
 def test_answers_from_before_are_dropped_and_never_taken_for_new_ones(link):
     """A survivor's answer is under way while another robot is lost."""
     link.admit((0,), (1,))
