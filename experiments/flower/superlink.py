@@ -224,7 +224,11 @@ class SuperLink:
         try:
             return control.run_status(self._port, run_id, self._authority)
         except ControlError:
-            return commands.run_status(session, run_id)
+            try:
+                return commands.run_status(session, run_id)
+            except FlowerError:
+                self._require_alive()  # it may have died just now
+                raise
 
     def _superlink_log(self, lines: int = 30) -> str:
         if not self._log_path.exists():

@@ -21,6 +21,7 @@ import pytest
 from experiments.flower import (
     Components,
     FlowerError,
+    ProcessLostError,
     RunState,
     SimulationSuperLink,
     Status,
@@ -347,6 +348,20 @@ def test_a_superlink_that_dies_later_is_an_error(
     os.kill(row.pid, signal.SIGKILL)
     wait_until(lambda: not members(marker_of(tmp_path)))
     with pytest.raises(FlowerError, match="ended with status -9"):
+        healthy.status(1)
+
+
+def test_a_superlink_that_dies_while_it_is_asked_is_a_lost_process(
+    healthy: SimulationSuperLink, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def dies(session: Session, run_id: int) -> Status:
+        (row,) = members(marker_of(tmp_path))
+        os.kill(row.pid, signal.SIGKILL)
+        wait_until(lambda: not members(marker_of(tmp_path)))
+        raise FlowerError("`flwr list` failed.")
+
+    monkeypatch.setattr(commands, "run_status", dies)
+    with pytest.raises(ProcessLostError, match="ended with status -9"):
         healthy.status(1)
 
 
