@@ -1,9 +1,10 @@
-"""Whole runs on Flower's simulation runtime: the bits of one process, and nothing left behind."""
+"""Whole runs on Flower's runtimes: the bits of one process, and nothing left behind."""
 
 from __future__ import annotations
 
 import io
 import json
+import os
 import shutil
 import signal
 import socket
@@ -25,7 +26,14 @@ from conf.places import server_folder
 from experiments.cli import main
 from experiments.flower import Components, superlink
 from experiments.flower.environment import child_environment, free_port
-from experiments.flower.processes import MARKER, Process, identify, members, terminate
+from experiments.flower.processes import (
+    MARKER,
+    Process,
+    command,
+    identify,
+    members,
+    terminate,
+)
 from experiments.flower.session import Session
 
 ROOT = Path(__file__).parents[2]
@@ -108,7 +116,9 @@ def expected(
 
 
 @pytest.mark.flower
-@pytest.mark.parametrize(("clients", "per_round"), [(3, 1), (2, "null")])
+@pytest.mark.parametrize(
+    ("clients", "per_round"), [(3, 1), pytest.param(2, "null", marks=pytest.mark.slow)]
+)
 def test_the_simulation_ends_in_the_bits_of_one_process(
     tmp_path: Path,
     train: Train,
@@ -133,6 +143,76 @@ def test_the_simulation_ends_in_the_bits_of_one_process(
     assert "last 5 in training" in said.out
     assert (tmp_path / "run" / "flower.log").stat().st_size > 0
     assert len(sessions) == 1
+
+
+@pytest.mark.flower
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["runtime.secure=true"],
+        pytest.param(["federation.clients=1"], marks=pytest.mark.slow),
+        pytest.param(["federation.windows_per_round=3"], marks=pytest.mark.slow),
+    ],
+    ids=["secure", "one_client", "two_rounds"],
+)
+def test_a_deployment_ends_in_the_bits_of_one_process(
+    tmp_path: Path,
+    train: Train,
+    expected: dict[str, str],
+    sessions: list[Session],
+    capsys: pytest.CaptureFixture[str],
+    changes: list[str],
+) -> None:
+    status = train("run", "runtime=deployment", *changes)
+    assert status == 0, capsys.readouterr().err
+    found = summary(tmp_path / "run")
+    assert found["digest"] == expected
+    assert (found["runtime"], found["windows"], found["losses"]) == ("deployment", 6, [])
+    clients = 1 if changes == ["federation.clients=1"] else 3
+    assert len(found["clients"]) == clients
+    assert all(client["cpu_s"] > 0 for client in found["clients"])
+    log = (tmp_path / "run" / "flower.log").read_text(errors="replace")
+    secure = changes == ["runtime.secure=true"]
+    assert log.count(f"with{'' if secure else 'out'} TLS") >= clients
+    assert ("https://127.0.0.1" in log) is secure
+    assert len(sessions) == 1
+
+
+@pytest.mark.flower
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
+@pytest.mark.parametrize("role", ["flwr-clientapp", "flower-supernode", "flwr-serverapp"])
+def test_a_deployment_outlives_a_killed_process(
+    tmp_path: Path, tiny_overrides: Sequence[str], role: str
+) -> None:
+    length = ["train.max_ticks=20000", "train.episodes=100000000", "state.every=10"]
+    folder = tmp_path / "run"
+    given = with_changes(tiny_overrides, *length, "runtime=deployment", f"run.dir={folder}")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", "train", *given],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    marker = ""
+    try:
+        wait_until(lambda: len(checkpoints(server_folder(folder / "state"))) > 1, process)
+        marker = marker_below(process)
+        victim = next(row for row in members(marker) if role in command(row))
+        os.kill(victim.pid, signal.SIGKILL)
+        _, errors = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, errors
+        assert members(marker) == set()
+    finally:
+        if marker:
+            terminate(marker)
+        process.kill()
+        process.communicate()
+    whole = with_changes(tiny_overrides, *length, f"run.dir={tmp_path / 'whole'}")
+    assert main(["train", *whole]) == 0
+    assert summary(folder)["digest"] == summary(tmp_path / "whole")["digest"]
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------------
