@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from benchmarks.report import as_json, table
-from benchmarks.result import Result
+from benchmarks.result import Result, Skipped
 
 BENCHMARKS = {
     "engine": "engine_vs_four_learners_",
@@ -23,7 +23,10 @@ BENCHMARKS = {
     "parts": "part_",
     "scaling": "steps_per_s_ updates_vs_",
     "deployment": "link_share lockstep_ waiting_share",
-    "runs": "simulation_ flower_share evaluation_share",
+    "runs": "rate_ simulation_ deployment_ flower_share evaluation_share weights_vs_",
+    "memory": "memory_ busy_",
+    "prices": "checkpoint_ tls_",
+    "distance": "distance_",
 }
 """Each benchmark, a module with a function of its name, and how its results' names begin."""
 
@@ -42,6 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console.print(f"{name} ...", end=" ", highlight=False)
         try:
             results += _benchmark(name)(quick=given.quick)
+        except Skipped as reason:
+            console.print(f"skipped: {reason}", highlight=False, markup=False)
         except Exception as error:
             failed[name] = f"{type(error).__name__}: {error}"
             console.print(f"failed: {failed[name]}", highlight=False, markup=False)

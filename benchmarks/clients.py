@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ from benchmarks.local import initial_weights
 from client_app.robots import RobotGroup
 from conf import Config, from_yaml, robot_network, to_yaml
 from env.link import LinkServer, Step, Want, serve
+from env.link.tls import client_context, server_context
+from server_app.certificates import run_certificate
 
 SPAN = 1 << 20
 PATIENCE_S = 60.0
@@ -87,10 +90,22 @@ class Client:
                 self._group.download(step.window, self._group.upload()[0])
 
 
-def client(text: str, robot: int, address: tuple[str, int], token: str, report: Connection) -> None:
-    """A client process: serves one robot, then reports its stamps."""
+def client(
+    config: Config, robot: int, address: tuple[str, int], token: str, certificate: str = ""
+) -> list[tuple[int, float]]:
+    """Serves one robot.
+
+    Args:
+        config: of the run.
+        robot: which.
+        address: of the server.
+        token: for this robot.
+        certificate: of the server, PEM; empty without TLS.
+
+    Returns:
+        Its stamps.
+    """
     single_threaded()
-    config = from_yaml(text)
     group = RobotGroup(config, (robot,))
     group.download(0, initial_weights(config))
     handler = Client(group, group.parameters)
@@ -102,8 +117,14 @@ def client(text: str, robot: int, address: tuple[str, int], token: str, report: 
         fingerprint=FINGERPRINT,
         timeout_s=PATIENCE_S,
         n_parameters=group.parameters,
+        client_context=client_context(certificate) if certificate else None,
     )
-    report.send([*handler.stamps, (-1, time.process_time())])
+    return [*handler.stamps, (-1, time.process_time())]
+
+
+def reporting(report: Connection, text: str, *arguments: Any) -> None:
+    """A client process: serves, then reports its stamps."""
+    report.send(client(from_yaml(text), *arguments))
     report.close()
 
 
@@ -124,22 +145,43 @@ class Clients:
         return found
 
 
+def opened(
+    config: Config, host: str = "127.0.0.1", tls: tuple[str, str] | None = None
+) -> LinkServer:
+    """The server's end of a link that awaits a client for each robot.
+
+    Args:
+        config: of the run.
+        host: where it listens.
+        tls: certificate and key, PEM.
+    """
+    context = server_context(*tls) if tls else None
+    link = LinkServer(host, fingerprint=FINGERPRINT, timeout_s=PATIENCE_S, server_context=context)
+    robots = range(config.env.robots)
+    shape = (2, robot_network(config).parameters)
+    link.admit([(robot,) for robot in robots], {robot: token(robot) for robot in robots}, shape)
+    return link
+
+
+def token(robot: int) -> str:
+    """A robot's secret, which is none."""
+    return f"robot-{robot}"
+
+
 @contextmanager
-def connected_clients(config: Config) -> Iterator[Clients]:
+def connected_clients(config: Config, *, secure: bool = False) -> Iterator[Clients]:
     """Starts a process for each robot, linked over loopback; all have ended on leaving."""
-    link = LinkServer(fingerprint=FINGERPRINT, timeout_s=PATIENCE_S)
+    tls = run_certificate("127.0.0.1") if secure else None
+    link = opened(config, tls=tls)
     context = multiprocessing.get_context("spawn")
     started: list[BaseProcess] = []
     try:
-        robots = range(config.env.robots)
-        tokens = {robot: f"robot-{robot}" for robot in robots}
-        shape = (2, robot_network(config).parameters)
-        link.admit([(robot,) for robot in robots], tokens, shape)
         reports = []
-        for robot in robots:
+        for robot in range(config.env.robots):
             receiving, sending = context.Pipe(duplex=False)
-            arguments = (to_yaml(config), robot, link.address, tokens[robot], sending)
-            process = context.Process(target=client, args=arguments, daemon=True)
+            whom = (robot, link.address, token(robot), tls[0] if tls else "")
+            arguments = (sending, to_yaml(config), *whom)
+            process = context.Process(target=reporting, args=arguments, daemon=True)
             process.start()
             sending.close()
             started.append(process)

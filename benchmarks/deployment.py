@@ -28,7 +28,7 @@ from benchmarks.local import ServerSide, configured
 from benchmarks.result import Result, Target
 from conf import Config, robot_network
 from env import actions
-from env.link import UPDATE, Flag, LinkServer, Want
+from env.link import UPDATE, Flag, Fleet, LinkServer, Want
 
 TARGET = Target(0.02, at_least=False)
 LINK_HOW = (
@@ -44,15 +44,20 @@ CPU_HOW = "processor time of all four processes in lockstep over that of acting 
 
 
 class Lockstep:
-    """The link as the coordinator's fleet; a stretch ends without a farewell."""
+    """A link as the coordinator's fleet; a stretch ends without a farewell.
 
-    def __init__(self, link: LinkServer) -> None:
-        self._link = link
+    Args:
+        link: to the robots.
+        before: windows that lie before the first one of every stretch.
+    """
+
+    def __init__(self, link: Fleet, before: int = 0) -> None:
+        self._link, self._before = link, Mode.LOCKSTEP.window(before)
 
     def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
         """See ``Fleet.tell``."""
         want = Want.WEIGHTS if want is Want.FAREWELL else want
-        self._link.tell(tick, Mode.LOCKSTEP.window(window), want, updates)
+        self._link.tell(tick, self._before + window, want, updates)
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See ``Fleet.actions``."""
@@ -60,11 +65,11 @@ class Lockstep:
 
     def upload(self, window: int) -> NDArray[np.float32]:
         """See ``Fleet.upload``."""
-        return self._link.upload(Mode.LOCKSTEP.window(window))
+        return self._link.upload(self._before + window)
 
     def download(self, window: int, weights: NDArray[np.float32]) -> None:
         """See ``Fleet.download``."""
-        self._link.download(Mode.LOCKSTEP.window(window), weights)
+        self._link.download(self._before + window, weights)
 
     def close(self) -> None:
         """See ``Fleet.close``."""

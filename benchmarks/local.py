@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +61,16 @@ class ServerSide:
     Args:
         config: of the run.
         fleet: the robots.
+        keep: called with the run at every window boundary of a stretch.
     """
 
-    def __init__(self, config: Config, fleet: Fleet) -> None:
-        self._config, self._fleet = config, fleet
+    def __init__(
+        self,
+        config: Config,
+        fleet: Fleet,
+        keep: Callable[[Coordinator], None] = lambda run: None,
+    ) -> None:
+        self._config, self._fleet, self._keep = config, fleet, keep
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         radio_map = build_radio_map(config.env)
         generator = stream(config.seed, Stream.WORLD)
@@ -77,7 +84,15 @@ class ServerSide:
         train = dataclasses.replace(self._config.train, max_ticks=steps)
         config = dataclasses.replace(self._config, train=train)
         aggregator = build_aggregator(config.strategy, config.env.robots)
-        run = Coordinator(config, self.world, self.ap, self._fleet, aggregator, Unwatched())
+        run = Coordinator(
+            config,
+            self.world,
+            self.ap,
+            self._fleet,
+            aggregator,
+            Unwatched(),
+            keep=lambda final: self._keep(run),
+        )
         self._model = run.run(self._model)[0]
         self.waited_s += run.waited_s
 

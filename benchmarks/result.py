@@ -5,11 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Seconds = NDArray[np.float64]
+
+
+class Skipped(Exception):  # noqa: N818 - nothing went wrong
+    """A benchmark cannot be run here; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,7 @@ def take_turns(
     variants: Mapping[str, Callable[[int], object]],
     steps: int,
     blocks: int,
-    clock: Callable[[], float] = time.process_time,
+    clock: Callable[[], Any] = time.process_time,
 ) -> dict[str, Seconds]:
     """Times variants block by block, each block in the reverse order of the one before.
 
@@ -79,13 +84,13 @@ def take_turns(
         variants: what to time, by name; called with the number of steps to take.
         steps: of a block.
         blocks: how many.
-        clock: processor time of this process unless told otherwise.
+        clock: processor time of this process unless told otherwise; several at once as an array.
 
     Returns:
-        Seconds per step of each block, by name, shape (blocks,).
+        Seconds per step of each block, by name, shape (blocks,), or (blocks, clocks).
     """
     order = list(variants)
-    taken: dict[str, list[float]] = {name: [] for name in order}
+    taken: dict[str, list[Any]] = {name: [] for name in order}
     for _ in range(blocks):
         for name in order:
             began = clock()

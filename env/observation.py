@@ -10,6 +10,13 @@ from env.floor import Floor
 
 CHANNEL_MIDDLE_DB = 70.0
 CHANNEL_SPREAD_DB = 20.0
+CHANNEL = 2
+"""Where the channel stands in a robot's own state."""
+
+
+def scaled_channel(channel_db: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A measured channel |hbar|^2 in dB as agents see it, same shape."""
+    return (channel_db + CHANNEL_MIDDLE_DB) / CHANNEL_SPREAD_DB
 
 
 class Observer:
@@ -51,7 +58,7 @@ class Observer:
         position = self._centres[cell]
         state = np.empty((*cell.shape, self.local_size), dtype=np.float32)
         state[..., 0:2] = position / (self._size_m / 2.0) - 1.0
-        state[..., 2] = (channel_db + CHANNEL_MIDDLE_DB) / CHANNEL_SPREAD_DB
+        state[..., CHANNEL] = scaled_channel(channel_db)
         if self._offset:
             state[..., 3:5] = (self._centres[destination] - position) / self._size_m
         return state

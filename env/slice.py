@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from env import guidance, reward
 from env.config import EnvConfig
 from env.floor import Floor
-from env.observation import Observer
+from env.observation import CHANNEL, Observer, scaled_channel
 
 
 class Slice:
@@ -28,21 +28,25 @@ class Slice:
     """
 
     def __init__(self, config: EnvConfig, destinations: NDArray[np.int64]) -> None:
-        self._observer = Observer(config)
+        observer = Observer(config)
         self._config = config
         self._reward = reward.robots_reward(config)
-        self._destinations = destinations
         floor = Floor.from_config(config)
         self._distance_m = guidance.distances_m(floor, destinations, config.reward.distance)
         self._robot = np.arange(len(destinations))
         self.cells = len(self._distance_m)
-        self.observation_size = self._observer.local_size
+        self.observation_size = observer.local_size
+        everywhere = np.broadcast_to(np.arange(self.cells)[:, None], self._distance_m.shape)
+        silence_db = np.zeros(everywhere.shape, np.float32)
+        self._standing = observer.local(everywhere, silence_db, destinations)  # but the channel
 
     def observe(
         self, cell: NDArray[np.int32], channel_db: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """s_L of each robot, float32, shape (n, local_size)."""
-        return self._observer.local(cell.astype(np.int64), channel_db, self._destinations)
+        state = self._standing[cell, self._robot]
+        state[:, CHANNEL] = scaled_channel(channel_db)
+        return state
 
     def reward(
         self,

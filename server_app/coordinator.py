@@ -199,20 +199,26 @@ class Coordinator:
         Returns:
             What the robots were asked for.
         """
-        updates = self._updates(outcome)
-        seen, following = self._state, self._world.global_observation()
-        self._state = following
-        self._tally.add(outcome)
-        if outcome.terminated[0] or outcome.truncated[0]:
+        updates, seen = self._updates(outcome), self._state
+        following, ended = None, outcome.terminated[0] or outcome.truncated[0]
+        if ended:  # what is counted and seen of this episode comes before the next one begins
+            following = self._count(outcome)
             self._end_episode()
-            self._state = self._world.global_observation()
         self._observe_into(updates)
         want = Want.ACTIONS
         if last:
             want = Want.FAREWELL if self._is_over() else Want.WEIGHTS
         self._fleet.tell(self.progress.tick, window, want, updates)
+        if following is None:
+            following = self._count(outcome)
+        self._state = self._world.global_observation() if ended else following
         self._ap.learn(seen, phase, outcome.global_reward, following, outcome.terminated)
         return want
+
+    def _count(self, outcome: Outcome) -> NDArray[np.float32]:
+        """Adds up what a slot brought; returns the access point's state that it led to."""
+        self._tally.add(outcome)
+        return self._world.global_observation()
 
     def _end_episode(self) -> None:
         self.progress.episodes += 1

@@ -74,6 +74,7 @@ class FlowerFleet:
                 "flower_bytes": self._clients.flower_bytes[block],
                 "exchanges": link.frames_received,
                 "awaited_s": link.waited_s,
+                "ahead_s": link.ahead_s,
                 "cpu_s": self._clients.cpu_s[block],
             }
             for block, link in stats.items()

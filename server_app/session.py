@@ -25,6 +25,7 @@ from env.seeding import Stream, stream
 from env.world import World, draw_destinations
 from server_app.access_point import AccessPoint
 from server_app.checkpoint import Checkpoint, save_server
+from server_app.communication import per_tick, waiting
 from server_app.coordinator import Coordinator
 from server_app.evaluation import Evaluator, trajectories
 from server_app.figures import learning_curve
@@ -226,7 +227,8 @@ class Session:
             "steps_per_s": self.recorder.steps_per_s(run.progress),
             "flower_share": costs.flower_s / trained_s,
             "costs": asdict(costs),
-            "clients": self.recorder.clients(),
+            "clients": (clients := self.recorder.clients()),
+            "communication": {**per_tick(self.config), "waiting": waiting(clients)},
             "losses": self.losses,
             "converged": history.converged(),
             "evaluation": {

@@ -3,9 +3,16 @@
 import json
 import math
 
+import numpy as np
 import pytest
 
+from agent import checkpoints
+from benchmarks import distance, memory
 from benchmarks.__main__ import known, main
+from benchmarks.local import configured
+from benchmarks.prices import Kept, fill
+from client_app.robots import RobotGroup
+from conf.places import robot_folder, server_folder
 
 
 @pytest.mark.parametrize("name", ["engine", "worlds", "parts", "scaling"])
@@ -24,7 +31,13 @@ def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):
 
 @pytest.mark.parametrize(
     ("result", "benchmark"),
-    [("world_step_vs_cartpole_k3", "worlds"), ("link_share", "deployment"), ("runs", "runs")],
+    [
+        ("world_step_vs_cartpole_k3", "worlds"),
+        ("link_share", "deployment"),
+        ("runs", "runs"),
+        ("deployment_vs_simulation", "runs"),
+        ("tls_us", "prices"),
+    ],
 )
 def test_a_result_chooses_the_benchmark_that_finds_it(result, benchmark):
     assert known(result) == benchmark
@@ -34,3 +47,55 @@ def test_an_unknown_name_ends_the_command_with_a_message(capsys):
     with pytest.raises(SystemExit):
         main(["--only", "nothing"])
     assert "'nothing'" in capsys.readouterr().err
+
+
+def test_what_cannot_be_measured_here_is_skipped_with_a_word(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(distance, "obstacle", lambda: "no hosts today")
+    path = tmp_path / "bench.json"
+    assert main(["--only", "distance", "--json", str(path)]) == 0
+    assert "skipped: no hosts today" in capsys.readouterr().out
+    report = json.loads(path.read_text())
+    assert report["results"] == []
+    assert report["failed"] == {}
+
+
+@pytest.mark.parametrize(("every", "kept"), [(2, [2, 4]), (None, [])])
+def test_the_price_of_checkpoints_is_that_of_writing_them_all(every, kept, tmp_path):
+    small = ["agent.replay_size=300", "agent.hidden=[8]", "env.ris.side=2", "env.ris.subsurfaces=2"]
+    written = "null" if every is None else every
+    run = Kept(configured(*small, f"state.every={written}"), tmp_path)
+    run.play(4 * 25)  # windows 2 to 5: half of state.every lies before them
+    run.close()
+    assert checkpoints(server_folder(tmp_path)) == kept
+    for robot in range(3):
+        assert checkpoints(robot_folder(tmp_path, robot))[-2:] == (kept or [1])
+
+
+def test_filled_replays_are_full_and_the_agents_learn_from_them():
+    config = configured("agent.replay_size=300", "agent.hidden=[8]")
+    group = RobotGroup(config, (0,))
+    fill(group.agents, config)
+    assert len(group.agents.agent_state(0)["replay"]) == 300
+    nothing, one = np.zeros((1, 5), np.float32), np.ones(1, np.int32)
+    losses = group.agents.learn(nothing, one, one, nothing, one == 0, one == 1)
+    assert np.isfinite(losses).all()
+
+
+def test_memory_is_told_apart_by_what_a_process_is_to_flower(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "PROC", tmp_path)
+    commands = {
+        1: "python flower-superlink --insecure",
+        2: "python flower-supernode --insecure",
+        3: "flower-superexec",
+        4: "flower-superexec",
+        5: "python flwr-clientapp",
+        6: "sleep 1",
+    }
+    parents = {3: 1, 4: 2}
+    for pid, command in commands.items():
+        (tmp_path / str(pid)).mkdir()
+        (tmp_path / str(pid) / "cmdline").write_text(command.replace(" ", "\0"))
+        (tmp_path / str(pid) / "stat").write_text(f"{pid} (a b) S {parents.get(pid, 0)} 1")
+    assert [memory._role(tmp_path / str(pid)) for pid in commands] == [
+        "superlink", "supernode", "superlink_superexec", "supernode_superexec", "client_app", "",
+    ]  # fmt: skip

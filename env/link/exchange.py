@@ -145,7 +145,8 @@ class Exchange:
             accept: takes the frame of an answer, or raises FrameError if it is not the right one.
         """
         start = time.perf_counter()
-        awaited = [seat for seat in self.seats.values() if seat.awaited]
+        asked = [seat for seat in self.seats.values() if seat.awaited]
+        awaited = list(asked)
         while awaited:
             rest = start + self._timeout_s - time.perf_counter()
             if rest <= 0:
@@ -165,7 +166,10 @@ class Exchange:
                     self._lose(seat, str(error))
                 seat.awaited = False
                 awaited.remove(seat)
-                seat.stats.waited_s += time.perf_counter() - start
+                took_s = time.perf_counter() - start
+                seat.stats.waited_s += took_s
+        for seat in asked:
+            seat.stats.gathered_s += took_s
 
     def part(self, reason: str) -> None:
         """Close all connections, and tell those who are still there why."""

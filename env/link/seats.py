@@ -9,13 +9,24 @@ from env.link.wire import Wire
 
 @dataclass(slots=True)
 class BlockStats:
-    """What one client has cost so far, over all rounds."""
+    """What one client has cost so far, over all rounds.
+
+    Attributes:
+        waited_s: for this client's answers.
+        gathered_s: for those of all clients.
+    """
 
     bytes_sent: int = 0
     bytes_received: int = 0
     frames_sent: int = 0
     frames_received: int = 0
     waited_s: float = 0.0
+    gathered_s: float = 0.0
+
+    @property
+    def ahead_s(self) -> float:
+        """How long this client had answered while others had not."""
+        return self.gathered_s - self.waited_s
 
 
 class Seat:

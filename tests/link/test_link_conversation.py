@@ -106,6 +106,21 @@ def test_one_server_holds_round_after_round(link):
     assert sent.waited_s > 0
 
 
+def test_a_client_is_ahead_while_others_have_not_answered_and_never_when_alone(make_link):
+    stats = []
+    for blocks in [[(0, 1)], [(0,), (1,)]]:
+        link = make_link()
+        clients = link.connected(*blocks)
+        drive(link.server, 2)
+        assert [client.join() for client in clients] == [None, None][: len(clients)]
+        stats.append(link.server.stats())
+    assert stats[0][0, 1].ahead_s == 0
+    first, second = stats[1][0,], stats[1][1,]
+    assert first.gathered_s == second.gathered_s
+    assert min(first.ahead_s, second.ahead_s) >= 0
+    assert first.ahead_s + second.ahead_s > 0
+
+
 def test_large_weights_travel_whole(make_link):
     link = make_link()
     shape = (2, 1_000_000)
