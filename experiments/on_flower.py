@@ -27,6 +27,7 @@ from experiments.flower import (
 from server_app import resume
 from server_app.checkpoint import Checkpoint, latest
 from server_app.recorder import report_failure, report_state, write_atomically
+from server_app.session import to_json
 
 log = logging.getLogger(__name__)
 
@@ -82,27 +83,34 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     config = dataclasses.replace(config, run=run, federation=federation)
     write_atomically(folder / "config.yaml", to_yaml(config))
     try:
-        _persevere(config, folder, resumed)
+        restarts = _persevere(config, folder, resumed)
     except BaseException as error:
         report_failure(folder, error)
         raise
-    if not (folder / "summary.json").exists():
+    path = folder / "summary.json"
+    if not path.exists():
         return {}
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    summary: dict[str, Any] = json.loads(path.read_text()) | {"restarts": restarts}
+    write_atomically(path, to_json(summary))
     return summary
 
 
-def _persevere(config: Config, folder: Path, resumed: Checkpoint | None) -> None:
+def _persevere(config: Config, folder: Path, resumed: Checkpoint | None) -> list[str]:
     """Runs to the end; where processes died that this has started, starts them again.
+
+    Returns:
+        Why, for each time that they were started again.
 
     Raises:
         FlowerError: the run failed, or they die again and again.
     """
     reached, in_vain = -1 if resumed is None else resumed.window, 0
     revives = config.federation.on_loss == "wait" and config.runtime.connection is None
+    restarts: list[str] = []
     while True:
         try:
-            return _run(config, folder, resumed is not None)
+            _run(config, folder, resumed is not None)
+            return restarts
         except ProcessLostError as error:
             if not revives:
                 raise
@@ -111,9 +119,10 @@ def _persevere(config: Config, folder: Path, resumed: Checkpoint | None) -> None
             reached, in_vain = max(reached, window), 0 if window > reached else in_vain + 1
             if in_vain > MOST_IN_VAIN:
                 raise
-            sentence = str(error).splitlines()[0]
+            sentence = str(error).splitlines()[0].removesuffix(".")
+            restarts.append(f"{sentence}. Starting again from window {window}.")
             (folder / "progress.json").unlink(missing_ok=True)
-            report_state(folder, "waiting", f"{sentence} Starting again from window {window}.")
+            report_state(folder, "waiting", restarts[-1])
 
 
 def _last(config: Config, folder: Path) -> Checkpoint | None:

@@ -202,6 +202,8 @@ class Clients:
 
         Flower does not take one for a node that has gone: where the run waits, it is sent again.
         """
+        for block in blocks:
+            self.replies.pop(block, None)  # to a message of a round that was given up
         messages = [self._train_message(block) for block in blocks]
         names = list(self._grid.push_messages(messages))
         sent = {block: name for block, name in zip(blocks, names, strict=False) if name}

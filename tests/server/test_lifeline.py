@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
@@ -177,6 +178,28 @@ def test_a_client_that_dies_before_its_reply_costs_no_bit(
         return reply
 
     assert run(config, FakeGrid(3, {1: dies_once}))["digest"] == expected
+
+
+def test_a_reply_that_comes_after_the_round_was_given_up_is_not_taken_for_the_next_ones(
+    deployed: Tiny, run: Any, digests: Any
+) -> None:
+    config = deployed({"federation.windows_per_round": 3})
+    expected = digests(config)
+    dead: list[int] = []
+
+    def dies_once(message: Message, context: Context) -> Message:
+        reply = train(message, context)
+        if not dead:
+            dead.append(1)
+            raise MemoryError("killed before its reply")
+        return reply
+
+    def late(message: Message, context: Context) -> Message:
+        reply = train(message, context)
+        time.sleep(1.0)
+        return reply
+
+    assert run(config, FakeGrid(3, {1: dies_once, 2: late}))["digest"] == expected
 
 
 def test_a_client_that_fails_before_it_has_joined_is_started_again(
