@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import logging
 import shlex
 import time
 from pathlib import Path
@@ -28,8 +27,6 @@ from server_app import resume
 from server_app.checkpoint import Checkpoint, latest
 from server_app.recorder import report_failure, report_state, write_atomically
 from server_app.session import to_json
-
-log = logging.getLogger(__name__)
 
 POLL_S = 1.0
 LOG_NAME = "flower.log"
