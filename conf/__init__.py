@@ -11,9 +11,17 @@ from conf.compose import (
     to_yaml,
 )
 from conf.fingerprint import fingerprint, version
-from conf.networks import ap_network, robot_network
+from conf.networks import (
+    ap_network,
+    central_heads,
+    learns_nothing,
+    robot_network,
+    robots_learn,
+    weight_shapes,
+)
 from conf.schema import (
     Config,
+    SchemeConfig,
     StrategyConfig,
     flower_clients,
     waits_for_the_lost,
@@ -23,19 +31,24 @@ from conf.schema import (
 __all__ = [
     "Config",
     "ConfigError",
+    "SchemeConfig",
     "StrategyConfig",
     "ap_network",
+    "central_heads",
     "compose",
     "fingerprint",
     "flower_clients",
     "from_composed",
     "from_yaml",
+    "learns_nothing",
     "overridden",
     "problems",
     "register_schema",
     "robot_network",
+    "robots_learn",
     "to_yaml",
     "version",
     "waits_for_the_lost",
+    "weight_shapes",
     "windows_per_round",
 ]
