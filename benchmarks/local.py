@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from client_app.robots import RobotGroup
-from conf import Config, compose, robot_network
+from conf import Config, compose, robot_network, robots_learn
 from env.link import Fleet
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
@@ -16,7 +16,9 @@ from env.tally import EpisodeMeasures
 from env.world import World, draw_destinations
 from experiments.local import InProcessFleet
 from server_app.access_point import AccessPoint
+from server_app.central import CentralAgent
 from server_app.coordinator import Coordinator, Progress
+from server_app.schemes import build_central
 from server_app.strategies import build_aggregator
 
 OVERRIDES = (
@@ -47,7 +49,9 @@ def configured(*overrides: str) -> Config:
 
 
 def initial_weights(config: Config) -> NDArray[np.float32]:
-    """The network that all robots start from, shape (2, P)."""
+    """The network that all robots start from, shape (2, P); P is 0 where they have none."""
+    if not robots_learn(config):
+        return np.zeros((2, 0), np.float32)
     first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
     return np.stack([first, first])
 
@@ -60,15 +64,16 @@ class ServerSide:
     Args:
         config: of the run.
         fleet: the robots.
+        agent: one for everything, in the place of an access point, if there is one.
     """
 
-    def __init__(self, config: Config, fleet: Fleet) -> None:
+    def __init__(self, config: Config, fleet: Fleet, agent: CentralAgent | None = None) -> None:
         self._config, self._fleet = config, fleet
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         radio_map = build_radio_map(config.env)
         generator = stream(config.seed, Stream.WORLD)
         self.world = World(config.env, destinations, generator, 1, radio_map)
-        self.ap = AccessPoint(config)
+        self.ap = agent or AccessPoint(config)
         self._model = initial_weights(config)
         self.waited_s = 0.0
 
@@ -90,7 +95,19 @@ class LocalRun(ServerSide):
     """
 
     def __init__(self, config: Config) -> None:
-        robots = tuple(range(config.env.robots))
-        self.group = RobotGroup(config, robots)
+        self.group = RobotGroup(config, range(config.env.robots))
         self.group.download(0, initial_weights(config))
-        super().__init__(config, InProcessFleet([(robots, self.group)]))
+        super().__init__(config, InProcessFleet([(self.group.robots, self.group)]))
+
+    def play(self, steps: int) -> None:
+        """See ``ServerSide.play``; each stretch is a conversation of its own."""
+        self._fleet = InProcessFleet([(self.group.robots, self.group)])
+        super().play(steps)
+
+
+class CentralRun(ServerSide):
+    """One agent for everything, and robots that wait for its orders."""
+
+    def __init__(self, config: Config) -> None:
+        agent = build_central(config)
+        super().__init__(config, agent.fleet, agent)

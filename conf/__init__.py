@@ -14,6 +14,7 @@ from conf.fingerprint import fingerprint, version
 from conf.networks import (
     ap_network,
     central_heads,
+    joint_actions,
     learns_nothing,
     robot_network,
     robots_learn,
@@ -40,6 +41,7 @@ __all__ = [
     "flower_clients",
     "from_composed",
     "from_yaml",
+    "joint_actions",
     "learns_nothing",
     "overridden",
     "problems",

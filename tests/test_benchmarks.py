@@ -8,7 +8,7 @@ import pytest
 from benchmarks.__main__ import known, main
 
 
-@pytest.mark.parametrize("name", ["engine", "worlds", "parts", "scaling"])
+@pytest.mark.parametrize("name", ["engine", "worlds", "parts", "scaling", "central"])
 def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):
     path = tmp_path / "bench.json"
     assert main(["--quick", "--only", name, "--json", str(path)]) == 0
