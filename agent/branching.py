@@ -1,7 +1,7 @@
 """A DQN that decides in parts: one network, a trunk for all and a head for each part.
 
 The loss is the mean over heads of each head's Huber loss on its action's value (Tavakoli et al.,
-AAAI 2018, Eq. (6), with Huber's loss for the square; without their dueling stream), so the trunk
+AAAI 2018, with Huber's loss for the square and without their dueling stream), so the trunk
 gets the mean of what the heads send back.
 """
 

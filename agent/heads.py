@@ -23,8 +23,8 @@ class Heads:
     Attributes:
         sizes: actions of each head, H of them.
         discounts: of each, at least 0 and below 1.
-        shared: whether all heads learn one value of the whole decision, of one reward, as Eq. (4)
-            of the paper above; otherwise each learns the value of its own part, of its own reward.
+        shared: whether all heads learn one value of the whole decision, of one reward, as in the
+            paper above; otherwise each learns the value of its own part, of its own reward.
     """
 
     sizes: tuple[int, ...]

@@ -225,3 +225,22 @@ def test_learning_starts_at_learn_from_transitions():
     _, losses = live(agent_of(OWN, small_config(learn_from=20)), 25)
     assert np.isnan(losses[:19]).all()
     assert np.isfinite(losses[19:]).all()
+
+
+@pytest.mark.parametrize("heads", [OWN, SHARED], ids=["own", "shared"])
+def test_every_head_learns_its_part_of_a_decision(heads):
+    """In state s the right part for head d is (s + d) mod its size; each right one pays 1."""
+    config = small_config(
+        hidden=[32], learning_rate=3e-3, reward_scale=1.0, replay_size=4000, batch_size=32
+    )
+    agent, on, rng = agent_of(heads, config), np.ones(3, bool), np.random.default_rng(0)
+    sight = np.eye(INPUTS, dtype=np.float32)
+    right = [[(state + d) % size for d, size in enumerate(SIZES)] for state in range(INPUTS)]
+    for tick in range(3000):
+        state = rng.integers(INPUTS)
+        chosen = agent.choose(sight[state], max(0.3, 1 - tick / 1500), on)
+        paid = (chosen == right[state]).astype(float)
+        reward = np.full(3, paid.sum()) if heads.shared else paid
+        agent.learn(sight[state], chosen, reward, sight[state], on, on)
+    found = [agent.choose(seen, 0.0, on).tolist() for seen in sight]
+    assert found == right
