@@ -9,7 +9,9 @@
 | `losses` | TD targets and the Huber loss |
 | `backprop` | forward and backward of stacked agents, by hand |
 | `learner` | weights, gradients and Adam of stacked agents |
+| `stack` | n agents' replays, streams and state |
 | `dqn` | `DQN`: the above as n agents that act, learn, save and go on |
+| `heads`, `branching` | one network, a head for each part of a decision: `BranchingDQN` |
 | `streams` | a random stream's state as an array |
 | `storage` | atomic checkpoints and digests |
 | `threads` | one thread of arithmetic per process |
@@ -17,9 +19,11 @@
 Nothing here knows of the environment or of Flower, and no global random state is touched.
 """
 
+from agent.branching import BranchingDQN
 from agent.config import AgentConfig, DiscountConfig, EpsilonConfig, TargetConfig, problems
 from agent.dqn import DQN
 from agent.exploration import NO_ACTION, epsilon_at
+from agent.heads import Heads
 from agent.network import NetworkShape, q_values
 from agent.storage import (
     CheckpointError,
@@ -36,9 +40,11 @@ __all__ = [
     "DQN",
     "NO_ACTION",
     "AgentConfig",
+    "BranchingDQN",
     "CheckpointError",
     "DiscountConfig",
     "EpsilonConfig",
+    "Heads",
     "NetworkShape",
     "TargetConfig",
     "Writer",

@@ -12,7 +12,7 @@ size alone and each product is one agent's, so an agent's bits do not depend on 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -85,6 +85,48 @@ class Forward:
             step()
 
 
+class Backward:
+    """The way back through stacked networks, from the loss's slope at their results.
+
+    Attributes:
+        slope: to fill, shape (n, actions, B).
+    """
+
+    def __init__(
+        self,
+        shape: NetworkShape,
+        online: torch.Tensor,
+        gradient: torch.Tensor,
+        activations: Sequence[torch.Tensor],
+    ) -> None:
+        """Plans the steps from the last layer to the first.
+
+        Args:
+            shape: of the networks.
+            online: their rows, shape (n, P).
+            gradient: where theirs goes, shape (n, P).
+            activations: of their forward, whose first pass is that of `online`.
+        """
+        agents, size = online.shape[0], activations[0].shape[-1]
+        widths = (*shape.hidden, shape.actions)
+        slopes = [aligned_zeros(agents, width, size) for width in widths]
+        weights, gradients = shape.matrices(online), shape.matrices(gradient)
+        self.slope: FloatArray = slopes[-1].numpy()
+        self._steps: list[Step] = []
+        for depth in reversed(range(len(widths))):
+            read, slope = activations[depth][:, 0], slopes[depth]
+            self._steps.append(_product(read, slope.mT, gradients[depth], _TORCH_GRADIENT_FROM))
+            if depth > 0:
+                before, hidden = slopes[depth - 1], read[:, :-1]
+                self._steps.append(_product(weights[depth][:, :-1], slope, before, _TORCH_FROM))
+                self._steps.append(partial(_relu_backward, before, hidden, 0, grad_input=before))
+
+    def run(self) -> None:
+        """Computes the gradient from `slope`."""
+        for step in self._steps:
+            step()
+
+
 class Span:
     """Neighbouring agents that learn together: their buffers and views, made once."""
 
@@ -115,30 +157,9 @@ class Span:
         self._states = states.reshape(agents, size, passes, shape.inputs).transpose(0, 2, 3, 1)
         self._forward = Forward(shape, weights[:, :passes], size)
         self._chooser = Forward(shape, weights[:, :1], size) if config.double and discount else None
-        slope = self._plan_backward(shape, weights[:, 0], gradient)
+        self._backward = Backward(shape, weights[:, 0], gradient, self._forward.activations)
         self._flat_q, self._q_at = _flat(self._forward.q)
-        self._flat_slope, self._slope_at = _flat(slope.numpy())
-
-    def _plan_backward(
-        self, shape: NetworkShape, online: torch.Tensor, gradient: torch.Tensor
-    ) -> torch.Tensor:
-        """Lists the steps from the loss's slope at the last layer, which it returns, to the first.
-
-        The slopes have shape (n, outputs, B).
-        """
-        agents = online.shape[0]
-        widths = (*shape.hidden, shape.actions)
-        slopes = [aligned_zeros(agents, width, self._size) for width in widths]
-        weights, gradients = shape.matrices(online), shape.matrices(gradient)
-        self._backward: list[Step] = []
-        for depth in reversed(range(len(widths))):
-            read, slope = self._forward.activations[depth][:, 0], slopes[depth]
-            self._backward.append(_product(read, slope.mT, gradients[depth], _TORCH_GRADIENT_FROM))
-            if depth > 0:
-                before, hidden = slopes[depth - 1], read[:, :-1]
-                self._backward.append(_product(weights[depth][:, :-1], slope, before, _TORCH_FROM))
-                self._backward.append(partial(_relu_backward, before, hidden, 0, grad_input=before))
-        return slopes[-1]
+        self._flat_slope, self._slope_at = _flat(self._backward.slope)
 
     def run(self) -> FloatArray:
         """Computes the gradient on the batch that stands in its place.
@@ -156,8 +177,7 @@ class Span:
         slope *= 1 / self._size
         self._flat_slope.fill(0)
         self._flat_slope[action + self._slope_at] = slope
-        for step in self._backward:
-            step()
+        self._backward.run()
         mean: FloatArray = np.add.reduce(losses, axis=1)
         mean *= 1 / self._size
         return mean

@@ -5,7 +5,7 @@ Mnih et al., "Human-level control through deep reinforcement learning", Nature 5
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,22 +14,15 @@ from agent.config import AgentConfig
 from agent.exploration import GREEDY, explore
 from agent.learner import Learner
 from agent.network import FloatArray, NetworkShape, forward
-from agent.replay import Replay, RowLayout
-from agent.streams import generator_state, restore_generator
-
-State = dict[str, NDArray[np.generic]]
+from agent.replay import RowLayout
+from agent.stack import ReplayAgents
 
 
-class DQN:
+class DQN(ReplayAgents):
     """n independent DQN agents of one shape.
 
     Agents share nothing but the calls: each has its own weights, moments, replay and random
     stream, and ends in the same bits alone, stacked with others, or moved between stacks.
-
-    Attributes:
-        shape: of each agent's network.
-        online: the online networks, shape (n, P), a view of the learner's memory.
-        target: the target networks, likewise.
     """
 
     def __init__(
@@ -49,35 +42,9 @@ class DQN:
             generators: each agent's own, n of them.
             proximal_mu: FedProx's mu; 0 leaves the term out.
         """
-        self.shape, self._config = shape, config
-        self._generators = list(generators)
+        learner = Learner(shape, config, discount, len(generators), proximal_mu)
+        super().__init__(shape, config, learner, generators)
         self._layout = RowLayout(shape.inputs)
-        self._learner = Learner(shape, config, discount, len(self._generators), proximal_mu)
-        self._replays = [Replay(config.replay_size, self._layout.width) for _ in self._generators]
-        self._rows: FloatArray = np.zeros((len(self), self._layout.width), np.float32)
-        self.online: FloatArray = self._learner.weights[:, 0]
-        self.target: FloatArray = self._learner.weights[:, 1]
-        self._layers = shape.views(self.online)
-
-    def __len__(self) -> int:
-        """The number of agents, n."""
-        return len(self._generators)
-
-    def load(self, weights: FloatArray) -> None:
-        """Takes networks, as after an aggregation; they become FedProx's anchor too.
-
-        Args:
-            weights: online and target, shape (2, P) for all or (n, 2, P).
-        """
-        each = self._learner.weights.shape
-        if weights.shape not in (each[1:], each):
-            raise ValueError(f"weights have shape {weights.shape}, not {each[1:]} or {each}")
-        self._learner.weights[:] = weights
-        self._learner.anchor[:] = self.online
-
-    def weights(self) -> FloatArray:
-        """A copy of the online and target networks, shape (n, 2, P)."""
-        return self._learner.weights.copy()
 
     def act(
         self, observations: FloatArray, epsilon: float, active: NDArray[np.bool_]
@@ -123,76 +90,4 @@ class DQN:
         """
         scaled = np.multiply(rewards, self._config.reward_scale)
         self._layout.pack(observations, actions, scaled, next_observations, terminal, self._rows)
-        flags = active.tolist()
-        learning = [False] * len(flags)
-        for agent, replay in enumerate(self._replays):
-            if flags[agent]:
-                replay.add(self._rows[agent])
-                if len(replay) >= self._config.learn_from:
-                    replay.sample(self._generators[agent], self._learner.batch[agent])
-                    learning[agent] = True
-        losses = self._learner.update(learning)
-        if self._config.target.tau is None:
-            for agent, replay in enumerate(self._replays):
-                if flags[agent] and replay.added % self._config.target.every == 0:
-                    self._learner.copy_to_target(agent)
-        return losses
-
-    def agent_state(self, agent: int) -> State:
-        """All that one agent needs to go on to the same bits, in this stack or another.
-
-        Args:
-            agent: its place in the stack.
-
-        Returns:
-            Copies, by name.
-        """
-        learner, replay = self._learner, self._replays[agent]
-        return {
-            "weights": learner.weights[agent].copy(),
-            "moments": learner.moments[agent].copy(),
-            "anchor": learner.anchor[agent].copy(),
-            "updates": learner.steps[agent].astype(np.int64).reshape(1),
-            "replay": replay.rows(),
-            "stored": np.array([replay.added], np.int64),
-            "generator": generator_state(self._generators[agent]),
-        }
-
-    def restore_agent(self, agent: int, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Takes back what `agent_state` gave; a wrong shape is a ValueError.
-
-        Args:
-            agent: its place in this stack.
-            state: from an agent of the same shape and configuration.
-        """
-        learner = self._learner
-        for name, place in (
-            ("weights", learner.weights[agent]),
-            ("moments", learner.moments[agent]),
-            ("anchor", learner.anchor[agent]),
-        ):
-            if state[name].shape != place.shape:
-                raise ValueError(
-                    f"{name} of shape {state[name].shape} do not fit this network: {place.shape}"
-                )
-        self._replays[agent].restore(state["replay"], int(state["stored"][0]))
-        learner.weights[agent], learner.moments[agent] = state["weights"], state["moments"]
-        learner.anchor[agent], learner.steps[agent] = state["anchor"], state["updates"][0]
-        restore_generator(self._generators[agent], state["generator"])
-
-    def state(self) -> State:
-        """The states of all agents, named ``0/weights``, ``0/moments`` and so on."""
-        return {
-            f"{agent}/{name}": array
-            for agent in range(len(self))
-            for name, array in self.agent_state(agent).items()
-        }
-
-    def restore(self, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Takes back what `state` gave."""
-        for agent in range(len(self)):
-            own = f"{agent}/"
-            self.restore_agent(
-                agent,
-                {key.removeprefix(own): a for key, a in state.items() if key.startswith(own)},
-            )
+        return self._take_rows(active)

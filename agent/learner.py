@@ -13,6 +13,7 @@ product is its own, and Adam takes its row as a tensor of its own with a step co
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -24,6 +25,14 @@ from agent.replay import RowLayout
 
 _BETAS = (0.9, 0.999)
 _EPSILON = 1e-8
+
+
+class Gradients(Protocol):
+    """What computes the gradient of neighbouring agents on the batch that stands in its place."""
+
+    def run(self) -> FloatArray:
+        """Puts the gradient in its place; returns each agent's mean loss, shape (n,)."""
+        ...
 
 
 class Learner:
@@ -44,6 +53,7 @@ class Learner:
         discount: float,
         agents: int,
         proximal_mu: float = 0.0,
+        width: int | None = None,
     ) -> None:
         """Reserves the agents' rows, all zero.
 
@@ -53,6 +63,7 @@ class Learner:
             discount: at least 0 and below 1.
             agents: n.
             proximal_mu: FedProx's mu; 0 leaves the term out.
+            width: of a transition's row; that of `RowLayout` if None.
         """
         self._shape, self._config, self._discount = shape, config, discount
         self._mu = proximal_mu
@@ -66,13 +77,13 @@ class Learner:
         self.steps: FloatArray = self._steps[:, 0].numpy()
         self.gradient: FloatArray = self._gradient[:, 0].numpy()
         self.anchor: FloatArray = _rows(agents, 1, size)[:, 0].numpy()
-        width = RowLayout(shape.inputs).width
+        width = width or RowLayout(shape.inputs).width
         self.batch: FloatArray = aligned_zeros(agents, config.batch_size, width).numpy()
         self._online = list(self._weights[:, 0])
         self._gradients = list(self._gradient[:, 0])
         self._first, self._second = list(self._moments[:, 0]), list(self._moments[:, 1])
         self._step_counts = list(self._steps[:, 0])
-        self._spans: dict[tuple[int, int], Span] = {}
+        self._spans: dict[tuple[int, int], Gradients] = {}
 
     def update(self, learning: Sequence[bool]) -> FloatArray:
         """Takes one gradient step of the chosen agents on their part of `batch`.
@@ -85,7 +96,9 @@ class Learner:
         """
         losses = np.full(len(self._online), np.nan, np.float32)
         for start, stop in neighbours(learning):
-            span = self._spans.get((start, stop)) or self._new_span(start, stop)
+            span = self._spans.get((start, stop))
+            if span is None:
+                span = self._spans[start, stop] = self._new_span(start, stop)
             losses[start:stop] = span.run()
             if self._mu:
                 pull = self.weights[start:stop, 0] - self.anchor[start:stop]
@@ -100,9 +113,9 @@ class Learner:
         """Makes an agent's target network equal to its online network."""
         self.weights[agent, 1] = self.weights[agent, 0]
 
-    def _new_span(self, start: int, stop: int) -> Span:
+    def _new_span(self, start: int, stop: int) -> Gradients:
         part = slice(start, stop)
-        span = Span(
+        return Span(
             self._shape,
             self._config,
             self._discount,
@@ -110,8 +123,6 @@ class Learner:
             self._gradient[part, 0],
             self.batch[part],
         )
-        self._spans[start, stop] = span
-        return span
 
     def _adam(self, start: int, stop: int) -> None:
         """Adam, Kingma and Ba, ICLR 2015, with torch's defaults.

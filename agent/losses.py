@@ -39,7 +39,10 @@ def double_dqn_values(online_q: FloatArray, target_q: FloatArray) -> FloatArray:
 
 
 def td_target(
-    rewards: FloatArray, terminal: FloatArray, next_values: FloatArray, discount: float
+    rewards: FloatArray,
+    terminal: FloatArray,
+    next_values: FloatArray,
+    discount: float | FloatArray,
 ) -> FloatArray:
     """Target r + discount (1 - terminal) V(s'): a terminal transition does not bootstrap.
 
@@ -47,7 +50,7 @@ def td_target(
         rewards: shape (n, B).
         terminal: 1 where the episode ended for good, else 0, shape (n, B).
         next_values: V(s'), shape (n, B).
-        discount: at least 0 and below 1.
+        discount: at least 0 and below 1, or one of each n, shape (n, 1).
 
     Returns:
         Targets y, shape (n, B).

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from client_app.robots import RobotGroup
-from conf import Config, compose, robot_network
+from conf import Config, compose, robot_network, robots_learn
 from env.link import Fleet
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
@@ -17,7 +17,9 @@ from env.tally import EpisodeMeasures
 from env.world import World, draw_destinations
 from experiments.local import InProcessFleet
 from server_app.access_point import AccessPoint
+from server_app.central import CentralAgent
 from server_app.coordinator import Coordinator, Progress
+from server_app.schemes import build_central
 from server_app.strategies import build_aggregator
 
 OVERRIDES = (
@@ -48,7 +50,9 @@ def configured(*overrides: str) -> Config:
 
 
 def initial_weights(config: Config) -> NDArray[np.float32]:
-    """The network that all robots start from, shape (2, P)."""
+    """The network that all robots start from, shape (2, P); P is 0 where they have none."""
+    if not robots_learn(config):
+        return np.zeros((2, 0), np.float32)
     first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
     return np.stack([first, first])
 
@@ -62,6 +66,7 @@ class ServerSide:
         config: of the run.
         fleet: the robots.
         keep: called with the run at every window boundary of a stretch.
+        agent: one for everything, in the place of an access point, if there is one.
     """
 
     def __init__(
@@ -69,13 +74,14 @@ class ServerSide:
         config: Config,
         fleet: Fleet,
         keep: Callable[[Coordinator], None] = lambda run: None,
+        agent: CentralAgent | None = None,
     ) -> None:
         self._config, self._fleet, self._keep = config, fleet, keep
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         radio_map = build_radio_map(config.env)
         generator = stream(config.seed, Stream.WORLD)
         self.world = World(config.env, destinations, generator, 1, radio_map)
-        self.ap = AccessPoint(config)
+        self.ap = agent or AccessPoint(config)
         self._model = initial_weights(config)
         self.waited_s = 0.0
 
@@ -105,7 +111,19 @@ class LocalRun(ServerSide):
     """
 
     def __init__(self, config: Config) -> None:
-        robots = tuple(range(config.env.robots))
-        self.group = RobotGroup(config, robots)
+        self.group = RobotGroup(config, range(config.env.robots))
         self.group.download(0, initial_weights(config))
-        super().__init__(config, InProcessFleet([(robots, self.group)]))
+        super().__init__(config, InProcessFleet([(self.group.robots, self.group)]))
+
+    def play(self, steps: int) -> None:
+        """See ``ServerSide.play``; each stretch is a conversation of its own."""
+        self._fleet = InProcessFleet([(self.group.robots, self.group)])
+        super().play(steps)
+
+
+class CentralRun(ServerSide):
+    """One agent for everything, and robots that wait for its orders."""
+
+    def __init__(self, config: Config) -> None:
+        agent = build_central(config)
+        super().__init__(config, agent.fleet, agent=agent)

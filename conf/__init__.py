@@ -11,9 +11,18 @@ from conf.compose import (
     to_yaml,
 )
 from conf.fingerprint import fingerprint, version
-from conf.networks import ap_network, robot_network
+from conf.networks import (
+    ap_network,
+    central_heads,
+    joint_actions,
+    learns_nothing,
+    robot_network,
+    robots_learn,
+    weight_shapes,
+)
 from conf.schema import (
     Config,
+    SchemeConfig,
     StrategyConfig,
     flower_clients,
     waits_for_the_lost,
@@ -23,19 +32,25 @@ from conf.schema import (
 __all__ = [
     "Config",
     "ConfigError",
+    "SchemeConfig",
     "StrategyConfig",
     "ap_network",
+    "central_heads",
     "compose",
     "fingerprint",
     "flower_clients",
     "from_composed",
     "from_yaml",
+    "joint_actions",
+    "learns_nothing",
     "overridden",
     "problems",
     "register_schema",
     "robot_network",
+    "robots_learn",
     "to_yaml",
     "version",
     "waits_for_the_lost",
+    "weight_shapes",
     "windows_per_round",
 ]

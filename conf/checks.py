@@ -8,6 +8,7 @@ from typing import Any
 
 from agent.config import problems as agent_problems
 from conf.schema import Config
+from conf.scheme_checks import problems as scheme_problems
 from env.config import Problem
 from env.config_checks import problems as env_problems
 from env.seeding import Stream, stream
@@ -65,7 +66,7 @@ RANGES = {
 def problems(config: Config) -> list[Problem]:
     """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
     found = [*_run_problems(config), *env_problems(config.env), *agent_problems(config.agent)]
-    return found or _destination_problems(config)
+    return found or [*scheme_problems(config), *_destination_problems(config)]
 
 
 def _run_problems(config: Config) -> list[Problem]:

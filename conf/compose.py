@@ -28,7 +28,7 @@ from env.config import EnvConfig, Problem
 from env.floor_plans import KEYS as PLAN_KEYS
 
 FOLDER = Path(__file__).parent
-GROUPS = ("env", "agent", "strategy", "runtime", "experiment")
+GROUPS = ("env", "agent", "strategy", "runtime", "baseline", "experiment")
 
 
 class ConfigError(ValueError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent import NetworkShape
+from agent import Heads, NetworkShape
 from conf.schema import Config
 from env import actions
 from env.config import phase_actions
@@ -19,9 +19,56 @@ def robot_network(config: Config) -> NetworkShape:
 
 
 def ap_network(config: Config) -> NetworkShape:
-    """The DQN of the access point: s_G to its phase settings or its codebook's beams."""
-    return NetworkShape(
-        Observer(config.env).global_size,
-        tuple(config.agent.hidden),
-        phase_actions(config.env.ris),
+    """The network that sees s_G: the access point's, or that of one agent for everything.
+
+    The access point's goes to its phase settings or its codebook's beams, a centralized DQN's to
+    all joint actions, a branching one's to the actions of all heads.
+    """
+    outputs = phase_actions(config.env.ris)
+    if config.scheme.agents == "centralized":
+        outputs = joint_actions(config)
+    elif config.scheme.agents == "branching":
+        outputs = central_heads(config).actions
+    inputs = Observer(config.env).global_size
+    return NetworkShape(inputs, tuple(config.agent.hidden), outputs)
+
+
+def joint_actions(config: Config) -> int:
+    """The actions of all agents taken together, N_R^N (4 N_P)^K."""
+    env = config.env
+    return actions.joint_count(phase_actions(env.ris), env.robots, env.power.levels)
+
+
+def central_heads(config: Config) -> Heads:
+    """The heads of a branching DQN: the RIS's, then one for each robot.
+
+    With rewards of their own, heads have the discounts of the agents in whose place they stand.
+    """
+    env, discount = config.env, config.agent.discount
+    shared = config.scheme.heads == "shared"
+    return Heads(
+        (phase_actions(env.ris), *[actions.count(env.power.levels)] * env.robots),
+        (discount.robot if shared else discount.ap, *[discount.robot] * env.robots),
+        shared,
     )
+
+
+def robots_learn(config: Config) -> bool:
+    """Whether robots have networks of their own."""
+    return config.scheme.agents == "federated" and config.scheme.robots == "learned"
+
+
+def learns_nothing(config: Config) -> bool:
+    """Whether neither the robots nor the access point have a network."""
+    return config.scheme.robots != "learned"
+
+
+def weight_shapes(config: Config) -> dict[str, tuple[int, ...]]:
+    """Shapes of a run's weights, online then target; without a network, P is 0.
+
+    Returns:
+        "robots": (K, 2, P), "ap": (2, P_AP).
+    """
+    robot = robot_network(config).parameters if robots_learn(config) else 0
+    ap = ap_network(config).parameters if config.scheme.phase == "learned" else 0
+    return {"robots": (config.env.robots, 2, robot), "ap": (2, ap)}

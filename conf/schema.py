@@ -18,6 +18,17 @@ class StrategyConfig:
 
 
 @dataclass(frozen=True)
+class SchemeConfig:
+    """Who decides: the paper's F-DRL, or a baseline."""
+
+    agents: str = "federated"  # or one agent for everything: centralized, branching
+    phase: str = "learned"  # by the access point's DQN; or random, fixed, oracle
+    robots: str = "learned"  # or shortest ways: shortest_canonical, shortest_best
+    heads: str = "own"  # branching: each head's own reward, or shared
+    global_share: float = 0.1  # of r_G in a reward for everything, Baseline 1
+
+
+@dataclass(frozen=True)
 class RuntimeConfig:
     """Where the agents run."""
 
@@ -92,6 +103,7 @@ class Config:
     env: EnvConfig = field(default_factory=EnvConfig)
     agent: AgentConfig = field(default_factory=AgentConfig)
     strategy: StrategyConfig = field(default_factory=StrategyConfig)
+    scheme: SchemeConfig = field(default_factory=SchemeConfig)
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     federation: FederationConfig = field(default_factory=FederationConfig)

@@ -13,6 +13,24 @@ def count(levels: int) -> int:
     return len(DIRECTIONS) * levels
 
 
+def joint_count(phases: int, robots: int, levels: int) -> int:
+    """Number of joint actions of an access point with so many phase settings and K robots."""
+    return int(phases * count(levels) ** robots)
+
+
+def joint_decode(
+    joint: NDArray[np.int64], robots: int, levels: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The phase action, same shape (...), and the robots' actions, shape (..., K), of a joint one.
+
+    A joint action is phase (4 N_P)^K + a_0 (4 N_P)^(K-1) + ... + a_{K-1}.
+    """
+    single = count(levels)
+    places = single ** np.arange(robots - 1, -1, -1)
+    rest = joint % single**robots
+    return joint // single**robots, np.asarray(rest[..., None] // places % single)
+
+
 def encode(
     direction: NDArray[np.int64], level: NDArray[np.int64], levels: int
 ) -> NDArray[np.int64]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from env import access, reward
 from env.floor import STEPS
+from env.reward import motion_energy_j
 from env.world import World
 
 MAX_COMBINATIONS = 200_000
@@ -120,6 +121,12 @@ def best_phase_and_powers(
     """
     best = best_slots(world, _weights(world, weights)[None])
     return best.phase[0], best.level[0]
+
+
+def objective_weights(world: World, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+    """1 / (T_k E_k), what a robot's rate counts for in (5a), of slots driven; same shape."""
+    slots = np.maximum(slots, 1)
+    return np.asarray(1.0 / (slots * motion_energy_j(slots * world.slot_s, world.config.motion)))
 
 
 class BestSlots(NamedTuple):

@@ -12,7 +12,8 @@ USAGE = """\
 usage: risfleet COMMAND ...
 
   train [KEY=VALUE ...]      train a fleet; -m KEY=A,B,... runs every combination
-  evaluate RUN [options]     play a run's frozen weights on held-out starts
+  evaluate RUN [options]     play a run's frozen weights on held-out starts; or, in the place of
+                             RUN, baseline=shortest_canonical and others that learn nothing
   oracle RUN | KEY=VALUE ... what oracles reach, and a run's gap to them
   status RUN                 where a run is
   map [KEY=VALUE ...]        what the RIS gains on a radio map; --out FILE.png draws it

@@ -1,4 +1,4 @@
-"""``risfleet evaluate RUN``: plays a run's frozen weights on held-out starts."""
+"""``risfleet evaluate``: plays frozen weights, or what learns nothing, on held-out starts."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
 from agent import single_threaded
-from conf import Config, ConfigError, ap_network, from_yaml, robot_network
+from conf import Config, ConfigError, from_yaml, learns_nothing, weight_shapes
 from experiments.display import evaluation_table
 from server_app.evaluation import Evaluator
+from server_app.preflight import checked
 from server_app.recorder import write_atomically
 from server_app.session import to_json
 
@@ -28,16 +29,16 @@ EPSILONS = (0.0, 0.05)
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
-    folder = Path(given.run)
     try:
-        config = read_config(folder)
-        robots, ap = read_weights(folder, config)
+        config, robots, ap = _read(given.what)
+        epsilons = _epsilons(config, given.epsilon)
         check_place("--json", given.json)
+        results = evaluate(config, robots, ap, given.episodes, epsilons, given.seed)
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
-    results = evaluate(config, robots, ap, given.episodes, given.epsilon or EPSILONS, given.seed)
-    title = f"{folder}: {given.episodes or config.evaluation.episodes} held-out episodes"
+    episodes = given.episodes or config.evaluation.episodes
+    title = f"{' '.join(given.what)}: {episodes} held-out episodes"
     Console().print(evaluation_table(title, results))
     if given.json:
         write_atomically(Path(given.json), to_json(results))
@@ -64,14 +65,49 @@ def evaluate(
 
     Returns:
         From a column's name to its measures.
+
+    Raises:
+        ConfigError: an oracle cannot search this configuration.
     """
     single_threaded()
     evaluator = Evaluator(config, episodes=episodes, starts_seed=starts_seed)
-    measures = evaluator.play(robots, ap, epsilons)
+    try:
+        measures = evaluator.play(robots, ap, epsilons)
+    except ValueError as error:
+        raise ConfigError(f"{error}.") from error
     return {
         f"eps = {epsilon:g}": found.summary()
         for epsilon, found in zip(epsilons, measures, strict=True)
     }
+
+
+def _read(what: Sequence[str]) -> tuple[Config, NDArray[np.float32], NDArray[np.float32]]:
+    """A run's configuration and online weights; or a configuration in which nothing learns."""
+    if any("=" not in item or Path(item).is_dir() for item in what):
+        if len(what) > 1:
+            raise ConfigError(
+                f"{' '.join(what)}: allowed is one run folder, or KEY=VALUE ... alone."
+            )
+        config = read_config(Path(what[0]))
+        return config, *read_weights(Path(what[0]), config)
+    config = checked(what)
+    if not learns_nothing(config):
+        raise ConfigError(
+            f"{' '.join(what)}: allowed without a run's folder is what learns nothing, such as"
+            " baseline=shortest_canonical."
+        )
+    shapes = weight_shapes(config)
+    none = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    return config, none["robots"][:, 0], none["ap"][0]
+
+
+def _epsilons(config: Config, given: Sequence[float] | None) -> Sequence[float]:
+    """The explorations to play with."""
+    if not learns_nothing(config):
+        return given or EPSILONS
+    if given and any(given):
+        raise ConfigError(f"--epsilon {max(given):g}: allowed is 0 where nothing learns.")
+    return (0.0,)
 
 
 def read_weights(folder: Path, config: Config) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -89,11 +125,7 @@ def read_weights(folder: Path, config: Config) -> tuple[NDArray[np.float32], NDA
         raise ConfigError(f"{path} is damaged: {error}.") from error
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror or error}.") from error
-    expected = {
-        "robots": (config.env.robots, 2, robot_network(config).parameters),
-        "ap": (2, ap_network(config).parameters),
-    }
-    for name, shape in expected.items():
+    for name, shape in weight_shapes(config).items():
         if name not in arrays or arrays[name].shape != shape:
             found = arrays[name].shape if name in arrays else "nothing"
             raise ConfigError(f"{path}: {name} is {found} where config.yaml says {shape}.")
@@ -130,7 +162,12 @@ def check_place(option: str, file: str | None) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet evaluate", description=__doc__)
-    parser.add_argument("run", help="the run's folder")
+    parser.add_argument(
+        "what",
+        nargs="+",
+        metavar="RUN | KEY=VALUE",
+        help="a run's folder, or keys to set of what learns nothing",
+    )
     parser.add_argument("--episodes", type=positive, help="held-out episodes to play")
     parser.add_argument(
         "--epsilon", type=_share, action="append", help="exploration; may be given again"

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env import oracles
-from env.reward import motion_energy_j
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures, EpisodeTally
 from env.trajectory import best_trajectory, shortest_ways
@@ -46,7 +45,7 @@ def shortest_measures(evaluator: Evaluator, seed: int) -> Measures:
     """
     world, starts = evaluator.world, evaluator.starts
     generator = stream(seed, Stream.EVALUATION, 3)
-    weights = objective_weights(world, world.slots_to_go[starts, np.arange(world.robots)])
+    weights = oracles.objective_weights(world, world.slots_to_go[starts, np.arange(world.robots)])
 
     def canonical(phase: NDArray[np.int64]) -> Served:
         gain = world.radio_map.gain(world.cell, phase)
@@ -137,7 +136,7 @@ def policy_measures(
         return served
 
     (played,) = evaluator.play(robots, ap, (0.0,), serve=watch)
-    weights = objective_weights(evaluator.world, np.sum(driving, axis=0))
+    weights = oracles.objective_weights(evaluator.world, np.sum(driving, axis=0))
 
     def phases(world: World, served: Served) -> Served:
         return oracles.best_phase(world, served[1], weights), served[1]
@@ -148,12 +147,6 @@ def policy_measures(
     (by_phase,) = evaluator.play(robots, ap, (0.0,), serve=phases)
     (by_powers,) = evaluator.play(robots, ap, (0.0,), serve=powers)
     return {POLICY: played, POLICY_PHASE: by_phase, POLICY_POWERS: by_powers}
-
-
-def objective_weights(world: World, slots: NDArray[np.int64]) -> NDArray[np.float64]:
-    """1 / (T_k E_k), what a robot's rate counts for in (5a), of slots driven; same shape."""
-    slots = np.maximum(slots, 1)
-    return np.asarray(1.0 / (slots * motion_energy_j(slots * world.slot_s, world.config.motion)))
 
 
 def gap(measures: Measures, seed: int) -> dict[str, dict[str, float]]:

@@ -13,6 +13,7 @@ from client_app.state import Keeper
 from conf import Config
 from conf.places import STATE
 from env.link import LocalFleet, Want
+from server_app.central import CentralAgent
 from server_app.checkpoint import Checkpoint
 from server_app.recorder import report_failure
 from server_app.session import Session
@@ -52,6 +53,8 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     """
     try:
         session = Session(config, folder, resumed)
+        if isinstance(session.ap, CentralAgent):
+            return session.train(session.ap.fleet)
         robots = tuple(range(config.env.robots))
         state = None if config.state.every is None else folder / STATE
         with closing(Keeper(config, robots, state)) as keeper:

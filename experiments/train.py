@@ -31,7 +31,7 @@ from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
 from server_app import resume
 from server_app.checkpoint import Checkpoint
-from server_app.preflight import check, check_address, checked
+from server_app.preflight import check, check_address, checked, checked_training
 from server_app.session import STOP_FILE
 
 INTERRUPTED = 130
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
             config, checkpoint = resume.read(overrides)
             _check_address(config)
             return train(config, Path(str(config.run.dir)), checkpoint)
-        config = checked(overrides)
+        config = checked_training(overrides)
         _check_address(config)
         return train(config, new_folder(config))
     except ERRORS as error:
@@ -194,7 +194,7 @@ def _train_all(overrides: Sequence[str]) -> int:
     check_overrides(overrides, sweep=True)
     hydra_keys = [item for item in overrides if item.startswith("hydra")]
     for combination in _combinations(overrides):
-        checked([*combination, *hydra_keys])
+        checked_training([*combination, *hydra_keys])
     folder = next(
         (item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None
     )

@@ -1,6 +1,9 @@
-"""The access point's agent: one DQN that steers the RIS."""
+"""The access point's side: who steers the RIS, and what a coordinator asks of them."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +11,43 @@ from numpy.typing import NDArray
 from agent import DQN, epsilon_at
 from conf import Config, ap_network
 from env.seeding import Stream, stream
+from env.world import Outcome, World
+
+
+class PhaseAgent(Protocol):
+    """Who sets the RIS's phases: a DQN, a rule, or one agent that decides for the robots, too."""
+
+    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
+        """The phase action for a state of shape (1, global_size), as an array of shape (1,)."""
+        ...
+
+    def settle(
+        self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """The phase action that is set, shape (1,), once the power picks, (1, K), are known."""
+        ...
+
+    def learn(
+        self,
+        state: NDArray[np.float32],
+        action: NDArray[np.int64],
+        outcome: Outcome,
+        following: NDArray[np.float32],
+    ) -> None:
+        """Learns from what an action brought; arrays of one row each."""
+        ...
+
+    def weights(self) -> NDArray[np.float32]:
+        """Online and target weights, float32, shape (2, P)."""
+        ...
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that the agent needs to go on from a window boundary, as copies."""
+        ...
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Takes back what ``state`` gave."""
+        ...
 
 
 class AccessPoint:
@@ -27,21 +67,35 @@ class AccessPoint:
         self._always = np.ones(1, dtype=bool)
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
-        """The phase action for a state of shape (1, global_size), as an array of shape (1,)."""
+        """See ``PhaseAgent.act``."""
         epsilon = epsilon_at(self._epsilon, tick)
         return self.agent.act(state, epsilon, self._always).astype(np.int64)
+
+    def settle(
+        self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """See ``PhaseAgent.settle``: it stays with what it chose."""
+        return phase
 
     def learn(
         self,
         state: NDArray[np.float32],
         action: NDArray[np.int64],
-        reward: NDArray[np.float64],
+        outcome: Outcome,
         following: NDArray[np.float32],
-        terminal: NDArray[np.bool_],
     ) -> None:
-        """Stores a transition, arrays of one row each, and takes one gradient step."""
+        """See ``PhaseAgent.learn``: stores a transition and takes one gradient step."""
+        reward, terminal = outcome.global_reward, outcome.terminated
         self.agent.learn(state, action.astype(np.int32), reward, following, terminal, self._always)
 
     def weights(self) -> NDArray[np.float32]:
-        """Online and target weights, float32, shape (2, P)."""
+        """See ``PhaseAgent.weights``."""
         return np.asarray(self.agent.weights()[0])
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """See ``PhaseAgent.state``."""
+        return self.agent.agent_state(0)
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """See ``PhaseAgent.restore``."""
+        self.agent.restore_agent(0, state)

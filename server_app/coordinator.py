@@ -20,7 +20,7 @@ from env import actions
 from env.link import UPDATE, Flag, Fleet, Want
 from env.tally import EpisodeMeasures, EpisodeTally
 from env.world import Outcome, World
-from server_app.access_point import AccessPoint
+from server_app.access_point import PhaseAgent
 from server_app.aggregation import Aggregator
 from server_app.checkpoint import flat, part
 
@@ -67,7 +67,7 @@ class Coordinator:
     Args:
         config: the run's configuration.
         world: a single world.
-        ap: the access point's agent.
+        ap: who steers the RIS.
         fleet: the robots.
         aggregator: the strategy, or None for independent learners.
         observer: told of episodes and windows.
@@ -79,7 +79,7 @@ class Coordinator:
         self,
         config: Config,
         world: World,
-        ap: AccessPoint,
+        ap: PhaseAgent,
         fleet: Fleet,
         aggregator: Aggregator | None,
         observer: Observer,
@@ -145,7 +145,7 @@ class Coordinator:
                 "run": run,
                 "world": self._world.state(),
                 "tally": self._tally.state(),
-                "ap": self._ap.agent.agent_state(0),
+                "ap": self._ap.state(),
                 "strategy": {} if self._aggregator is None else self._aggregator.state(),
             }
         )
@@ -159,7 +159,7 @@ class Coordinator:
         restore_generator(self._world.generator, run["stream"])
         self._world.restore(part(state, "world"))
         self._tally.restore(part(state, "tally"))
-        self._ap.agent.restore_agent(0, part(state, "ap"))
+        self._ap.restore(part(state, "ap"))
         if self._aggregator is not None:
             self._aggregator.restore(part(state, "strategy"))
 
@@ -173,7 +173,9 @@ class Coordinator:
             self._started = True
         for left in reversed(range(self._config.federation.every)):
             phase = self._ap.act(self._state, self.progress.tick)
-            outcome = self._world.step(phase, *self._robots_actions())
+            direction, level = self._robots_actions()
+            phase = self._ap.settle(self._world, phase, level)
+            outcome = self._world.step(phase, direction, level)
             self.progress.tick += 1
             want = self._pass_on(window, phase, outcome, last=left == 0)
         return want is Want.FAREWELL
@@ -212,7 +214,7 @@ class Coordinator:
         if following is None:
             following = self._count(outcome)
         self._state = self._world.global_observation() if ended else following
-        self._ap.learn(seen, phase, outcome.global_reward, following, outcome.terminated)
+        self._ap.learn(seen, phase, outcome, following)
         return want
 
     def _count(self, outcome: Outcome) -> NDArray[np.float32]:

@@ -7,13 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import q_values
-from conf import Config, ap_network, robot_network
-from env import actions
+from conf import Config
 from env.radio_map import RadioMap
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures, EpisodeTally
 from env.world import World, draw_destinations
+from server_app.policies import Exploration, Weights, frozen_policy
 
 Served = tuple[NDArray[np.int64], NDArray[np.int64]]
 """The AP's actions, shape (B,), and power levels, shape (B, K)."""
@@ -46,12 +45,11 @@ class Evaluator:
     ) -> None:
         self.episodes = episodes or config.evaluation.episodes
         self._seed = config.seed if starts_seed is None else starts_seed
-        self._levels = config.env.power.levels
-        self._robot, self._ap = robot_network(config), ap_network(config)
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         generator = stream(self._seed, Stream.EVALUATION)
         self.world = World(config.env, destinations, generator, self.episodes, radio_map)
         self.starts = self.world.draw_starts(self.episodes)
+        self._policy = frozen_policy(config, self.world)
 
     def play(
         self,
@@ -66,7 +64,7 @@ class Evaluator:
         Args:
             robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
             ap: online weights of the access point, shape (P_AP,).
-            epsilons: probabilities of a random action, for every agent.
+            epsilons: probabilities of a random action, for every agent that learns.
             trace: takes the cells of every slot, the start first, if given: arrays of shape
                 (len(epsilons) * episodes, K).
             serve: replaces the agents' phases and power levels in every slot, if given; motion
@@ -79,15 +77,12 @@ class Evaluator:
         fading = [stream(self._seed, Stream.EVALUATION, 2) for _ in epsilons]
         world.reset(np.concatenate([self.starts] * len(epsilons)), fading)
         tally = EpisodeTally(world)
-        exploration = _Exploration(self._seed, epsilons, self.episodes)
+        exploration = Exploration(self._seed, epsilons, self.episodes)
+        weights = Weights(robots, ap)
         if trace is not None:
             trace.append(world.cell)
         for _ in range(world.config.motion.max_slots):
-            local = world.local_observations()
-            state = world.global_observation(local)
-            phase = exploration(self._best_phase(state, ap), self._ap.actions)
-            action = exploration(self._best_actions(local, robots), self._robot.actions)
-            direction, level = actions.decode(action, self._levels)
+            phase, direction, level = self._policy(world, weights, exploration)
             if serve is not None:
                 phase, level = serve(world, (phase, level))
             outcome = world.step(phase, direction, level)
@@ -99,40 +94,6 @@ class Evaluator:
         measures = tally.measures()
         blocks = range(0, len(epsilons) * self.episodes, self.episodes)
         return [measures.of(slice(first, first + self.episodes)) for first in blocks]
-
-    def _best_actions(
-        self, local: NDArray[np.float32], robots: NDArray[np.float32]
-    ) -> NDArray[np.int64]:
-        """The robots' greedy actions, shape (B, K)."""
-        worlds, count, size = local.shape
-        if len(robots) == 1:
-            values = q_values(self._robot, robots, local.reshape(1, worlds * count, size))
-            return np.asarray(values.argmax(axis=-1).reshape(worlds, count))
-        by_robot = np.ascontiguousarray(local.transpose(1, 0, 2))
-        return np.asarray(q_values(self._robot, robots, by_robot).argmax(axis=-1).T)
-
-    def _best_phase(self, state: NDArray[np.float32], ap: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The access point's greedy actions, shape (B,)."""
-        return np.asarray(q_values(self._ap, ap[None], state[None]).argmax(axis=-1)[0])
-
-
-class _Exploration:
-    """Random actions for blocks of worlds, each with an epsilon and a random stream of its own."""
-
-    def __init__(self, seed: int, epsilons: Sequence[float], episodes: int) -> None:
-        self._blocks = [
-            (slice(i * episodes, (i + 1) * episodes), epsilon, stream(seed, Stream.EVALUATION, 1))
-            for i, epsilon in enumerate(epsilons)
-            if epsilon > 0
-        ]
-
-    def __call__(self, greedy: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-        """Replaces a share of the actions, shape (B, ...), by random ones below ``count``."""
-        for worlds, epsilon, generator in self._blocks:
-            block = greedy[worlds]
-            random = generator.integers(count, size=block.shape)
-            greedy[worlds] = np.where(generator.random(block.shape) < epsilon, random, block)
-        return greedy
 
 
 def trajectories(

@@ -7,7 +7,7 @@ import os
 import socket
 from collections.abc import Sequence
 
-from conf import Config, ConfigError, compose, flower_clients, from_yaml
+from conf import Config, ConfigError, compose, flower_clients, from_yaml, learns_nothing
 from env.config import Problem
 from server_app.strategies import problems as strategy_problems
 
@@ -62,6 +62,19 @@ def checked(overrides: Sequence[str]) -> Config:
         ConfigError: a wrong key, value or combination.
     """
     return check(compose(overrides))
+
+
+def checked_training(overrides: Sequence[str]) -> Config:
+    """Composes and checks a configuration in which something learns.
+
+    Raises:
+        ConfigError: a wrong key, value or combination, or nothing learns.
+    """
+    config = checked(overrides)
+    if learns_nothing(config):
+        say = "learned here: with it nothing learns, and risfleet evaluate plays it"
+        raise ConfigError.of([("scheme.robots", config.scheme.robots, say)])
+    return config
 
 
 def checked_yaml(text: str) -> Config:

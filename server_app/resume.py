@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from agent import CheckpointError
-from conf import Config, ConfigError, compose, fingerprint, overridden
+from conf import Config, ConfigError, compose, fingerprint, overridden, robots_learn
 from conf.places import STATE
 from server_app.checkpoint import Checkpoint, latest
 from server_app.preflight import check, checked_yaml
@@ -53,8 +53,9 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
             )
     config = _config(folder, rest)
     try:
-        deployed = config.runtime.name == "deployment"  # the robots' are on their nodes
-        checkpoint = latest(folder / STATE, 0 if deployed else config.env.robots)
+        elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
+        kept = robots_learn(config) and not elsewhere
+        checkpoint = latest(folder / STATE, config.env.robots if kept else 0)
         check_files(folder, checkpoint.meta["marks"])
     except CheckpointError as error:
         raise ConfigError(f"resume={folder}: {error}.") from error

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from safetensors.numpy import save_file
 
 from agent import Writer, digest, single_threaded
-from conf import Config, fingerprint, robot_network, version
+from conf import Config, fingerprint, robot_network, robots_learn, version
 from conf.places import STATE
 from env.drawing import trajectory_figure
 from env.link import Fleet
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
 from env.world import World, draw_destinations
-from server_app.access_point import AccessPoint
 from server_app.checkpoint import Checkpoint, save_server
 from server_app.communication import per_tick, waiting
 from server_app.coordinator import Coordinator
@@ -35,6 +34,7 @@ from server_app.recorder import (
     evaluate,
     write_atomically,
 )
+from server_app.schemes import build_phase_agent
 from server_app.strategies import build_aggregator
 
 STOP_FILE = "stop"
@@ -108,7 +108,7 @@ class Session:
         self.world = World(
             config.env, self.destinations, stream(config.seed, Stream.WORLD), 1, self.radio_map
         )
-        self.ap = AccessPoint(config)
+        self.ap = build_phase_agent(config, self.world)
         self.evaluator = Evaluator(config, self.radio_map)
         marks = None if resumed is None else resumed.meta["marks"]
         self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s, marks)
@@ -118,7 +118,9 @@ class Session:
         return time.process_time() - self._cpu_before + self._costs().client_cpu_s
 
     def initial_weights(self) -> NDArray[np.float32]:
-        """The network that all robots start from, online and target, shape (2, P)."""
+        """The network that all robots start from, online and target, shape (2, P); P may be 0."""
+        if not robots_learn(self.config):
+            return np.zeros((2, 0), np.float32)
         first = robot_network(self.config).initial_weights(stream(self.config.seed, Stream.WEIGHTS))
         return np.stack([first, first])
 
@@ -210,6 +212,7 @@ class Session:
             "seed": self.config.seed,
             "runtime": self.config.runtime.name,
             "strategy": self.config.strategy.name,
+            "scheme": asdict(self.config.scheme),
             "robots": self.config.env.robots,
             "versions": {name: version(name) for name in ("risfleet", "torch", "numpy", "flwr")},
             "fingerprint": fingerprint(self.config.env),
@@ -228,7 +231,10 @@ class Session:
             "flower_share": costs.flower_s / trained_s,
             "costs": asdict(costs),
             "clients": (clients := self.recorder.clients()),
-            "communication": {**per_tick(self.config), "waiting": waiting(clients)},
+            "communication": {
+                **(per_tick(self.config) if robots_learn(self.config) else {}),
+                "waiting": waiting(clients),
+            },
             "losses": self.losses,
             "converged": history.converged(),
             "evaluation": {

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from conf import Config, ConfigError, compose, from_yaml, problems, to_yaml
+from conf import Config, ConfigError, compose, from_yaml, overridden, problems, to_yaml
 from conf.compose import FOLDER
 
 MISTAKES = [
@@ -49,11 +49,63 @@ MISTAKES = [
     (["env.ris.subsurfaces=7"], "env.ris.subsurfaces=7: allowed is a divisor of the 900 elements"),
     (["agent.batch_size=60000"], "agent.batch_size=60000: allowed is"),
     (["experiment=quick", "federation.clients=3"], "federation.clients=3: allowed is a number"),
+    (["scheme.agents=none"], "scheme.agents=none: allowed is one of federated, centralized, "),
+    (["scheme.phase=best"], "scheme.phase=best: allowed is one of learned, random, fixed, oracle."),
+    (["scheme.robots=still"], "scheme.robots=still: allowed is one of learned, shortest_canonical"),
+    (["baseline=branching", "scheme.heads=one"], "scheme.heads=one: allowed is own or shared."),
+    (["scheme.heads=shared"], "scheme.heads=shared: allowed is own with scheme.agents=federated"),
+    (["scheme.global_share=1"], "scheme.global_share=1.0: allowed is 0.1 here: only "),
+    (["baseline=centralized", "scheme.global_share=-1"], "scheme.global_share=-1.0: allowed is a"),
+    (["baseline=centralized", "env.robots=4"], "env.robots=4: allowed is fewer with "),
+    (["baseline=centralized", "runtime=simulation"], "runtime.name=simulation: allowed is local"),
+    (["baseline=branching", "strategy=krum"], "strategy.name=krum: allowed is none with "),
+    (["baseline=branching", "scheme.phase=fixed"], "scheme.phase=fixed: allowed is learned with "),
+    (["baseline=shortest_best", "runtime=simulation"], "runtime.name=simulation: allowed is local"),
+    (["baseline=shortest_best", "scheme.phase=fixed"], "scheme.phase=fixed: allowed is oracle"),
+    (["baseline=shortest_canonical", "scheme.phase=learned"], "scheme.phase=learned: allowed is "),
+    (["baseline=best"], "baseline=best: allowed is one of branching, "),
     # A wrong form.
     (["env.robots"], "'env.robots' is not of the form key=value."),
     (["+env.extra=1"], "'+env.extra=1': keys can be neither added nor deleted"),
     (["~env.robots"], "'~env.robots': keys can be neither added nor deleted"),
 ]  # fmt: skip
+
+
+ALL_TO_ONE_PLACE = ("env.power.resolve=zero", "env.tasks.destination=common")
+
+BASELINES = {
+    "none": {},
+    "centralized": {"scheme.agents": "centralized", "strategy.name": "none"},
+    "branching": {"scheme.agents": "branching", "strategy.name": "none"},
+    "oma": {"env.access": "oma"},
+    "oma_reallocate": {"env.access": "oma", "env.oma.share": "reallocate"},
+    "qoe": {"env.metric": "qoe"},
+    "independent": {"strategy.name": "none"},
+    "literal_state": {"env.state.destination": "none"},
+    "common_destination": {"env.tasks.destination": "common"},
+    "no_ris": {"env.ris.side": 0},
+    "random_phase": {"scheme.phase": "random"},
+    "fixed_phase": {"scheme.phase": "fixed"},
+    "oracle_phase": {"scheme.phase": "oracle"},
+    "shortest_canonical": {"scheme.phase": "oracle", "scheme.robots": "shortest_canonical"},
+    "shortest_best": {"scheme.phase": "oracle", "scheme.robots": "shortest_best"},
+}
+"""What each choice of the group changes beside the runtime, and all that it changes."""
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in FOLDER.glob("baseline/*.yaml")))
+def test_a_baseline_changes_what_it_says_and_nothing_else(name):
+    found = dataclasses.replace(compose([f"baseline={name}"]), runtime=Config().runtime)
+    assert found == overridden(
+        Config(), [f"{key}={value}" for key, value in BASELINES[name].items()]
+    )
+
+
+def test_a_joint_agent_for_too_many_robots_is_refused_with_their_number():
+    with pytest.raises(ConfigError, match="1,327,104, and at most 100,000 are taken"):
+        compose(["baseline=centralized", "env.robots=4"])
+    assert compose(["baseline=centralized", "env.robots=3"]).env.robots == 3
+    assert compose(["baseline=branching", "env.robots=64", *ALL_TO_ONE_PLACE])
 
 
 @pytest.mark.parametrize(("overrides", "message"), MISTAKES, ids=lambda x: str(x)[:40])

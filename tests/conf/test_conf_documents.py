@@ -32,6 +32,7 @@ def leaves(value, above=""):
             yield key
 
 
+BASELINES = (ROOT / "docs" / "baselines.md").read_text()
 KEYS = set(leaves(Config()))
 
 
@@ -88,3 +89,8 @@ def test_assumptions_have_ids_of_their_own_and_the_code_cites_no_other():
     }
     assert "C-PHASE" in cited
     assert cited <= {*ids}
+
+
+def test_every_baseline_has_a_row_and_every_row_a_baseline():
+    rows = re.findall(r"^\| `baseline=(\w+)", BASELINES, re.MULTILINE)
+    assert sorted(rows) == sorted(path.stem for path in FOLDER.glob("baseline/*.yaml"))

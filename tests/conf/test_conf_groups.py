@@ -29,7 +29,7 @@ def test_a_group_writes_out_its_schemas_defaults(file, schema):
 def test_the_main_file_writes_out_the_schemas_defaults():
     written = read("config.yaml")
     chosen = {key for item in written.pop("defaults") if isinstance(item, dict) for key in item}
-    assert chosen == {"env", "agent", "strategy", "runtime", "experiment"}
+    assert chosen == {"env", "agent", "strategy", "runtime", "baseline", "experiment"}
     groups = ("env", "agent", "strategy", "runtime")
     expected = {k: v for k, v in dataclasses.asdict(Config()).items() if k not in groups}
     assert written == expected

@@ -104,10 +104,13 @@ class ScriptedPoint:
         self.log.append(("act", tick))
         return np.array([tick % 4])
 
-    def learn(self, state: Any, action: Any, reward: Any, following: Any, terminal: Any) -> None:
+    def settle(self, world: Any, phase: Any, level: Any) -> Any:
+        return phase
+
+    def learn(self, state: Any, action: Any, outcome: Outcome, following: Any) -> None:
         self.log.append(("learn", int(action[0])))
-        seen = {"state": state, "following": following, "terminal": bool(terminal[0])}
-        self.learned.append(SimpleNamespace(**seen, reward=float(reward[0])))
+        seen = {"state": state, "following": following, "terminal": bool(outcome.terminated[0])}
+        self.learned.append(SimpleNamespace(**seen, reward=float(outcome.global_reward[0])))
 
     def weights(self) -> NDArray[np.float32]:
         return np.zeros(SHAPE, np.float32)

@@ -218,9 +218,14 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         ["env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]"],
         ["env.collisions=block", "env.walls.block_motion=true", "env.reward.distance=way"],
         ["strategy=krum", "env.access=oma", "env.metric=qoe"],
+        ["baseline=centralized", "env.robots=2"],
+        ["baseline=branching"],
+        ["baseline=branching", "scheme.heads=shared", "agent.double=true"],
+        ["baseline=random_phase"],
+        ["baseline=oracle_phase", "env.channel.fading=slot"],
     ],
 )
-def test_other_worlds_are_resumed_to_the_same_bits(train, changes) -> None:
+def test_other_worlds_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:
     whole, short = train("whole", *changes), train("short", *changes, "train.max_ticks=60")
     assert main(["train", f"resume={short}", "train.max_ticks=120"]) == 0
     assert summary(short)["digest"] == summary(whole)["digest"]
