@@ -109,6 +109,8 @@ def _persevere(config: Config, folder: Path, resumed: Checkpoint | None) -> list
             _run(config, folder, resumed is not None)
             return restarts
         except ProcessLostError as error:
+            if (folder / "summary.json").exists():
+                return restarts  # it was done: what died had nothing left to do
             if not revives:
                 raise
             resumed = _last(config, folder)

@@ -280,6 +280,15 @@ def test_a_run_that_died_before_its_first_checkpoint_begins_again(
     assert not (tmp_path / "metrics.csv").exists()
 
 
+def test_a_run_whose_processes_died_after_its_end_is_done(
+    persevere: Callable[..., None], tmp_path: Path
+) -> None:
+    (tmp_path / "summary.json").write_text("{}")
+    attempts = Attempts(DIED)
+    persevere(attempts, [], on_loss="abort")
+    assert attempts.resumed == [False]
+
+
 def test_a_run_that_gets_nowhere_is_given_up(persevere: Callable[..., None]) -> None:
     attempts = Attempts(*[DIED] * 10)
     with pytest.raises(ProcessLostError, match="status -9"):
