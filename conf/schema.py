@@ -15,6 +15,11 @@ class StrategyConfig:
     name: str = "fedavg"
     proximal_mu: float = 0.0  # mu, fedprox
     malicious: int = 0  # f, krum: how many robots may upload anything at all
+    server_rate: float = 1.0  # eta, fedavgm and fedadam: how far the server steps
+    momentum: float = 0.0  # beta, fedavgm
+    beta_1: float = 0.0  # fedadam: decay of the mean of the robots' steps
+    beta_2: float = 0.0  # fedadam: decay of the mean of their squares
+    tau: float = 0.0  # fedadam: added to the root of those squares
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
-from flwr.serverapp.strategy import FedAvg, FedProx, Krum
+from flwr.serverapp.strategy import FedAdam, FedAvg, FedAvgM, FedMedian, FedProx, Krum
 
 from conf import StrategyConfig
 from env.config import Problem
 from server_app.aggregation import Aggregator, Scope
+
+MOST_RATE = 10.0
+"""Beyond it a server's step lands ten times as far as the robots went, and runs diverge."""
 
 
 def _no_problems(config: StrategyConfig, robots: int) -> list[Problem]:
@@ -82,6 +85,20 @@ def _krum(config: StrategyConfig) -> FedAvg:
     return Krum(num_malicious_nodes=config.malicious)
 
 
+def _fedavgm(config: StrategyConfig) -> FedAvg:
+    return FedAvgM(server_learning_rate=config.server_rate, server_momentum=config.momentum)
+
+
+def _fedadam(config: StrategyConfig) -> FedAvg:
+    return FedAdam(
+        eta=config.server_rate, beta_1=config.beta_1, beta_2=config.beta_2, tau=config.tau
+    )
+
+
+def _fedmedian(config: StrategyConfig) -> FedAvg:
+    return FedMedian()
+
+
 def _fedprox_problems(config: StrategyConfig, robots: int) -> list[Problem]:
     if math.isfinite(config.proximal_mu) and config.proximal_mu > 0:
         return []
@@ -100,8 +117,43 @@ def _krum_problems(config: StrategyConfig, robots: int) -> list[Problem]:
     return [("strategy.malicious", config.malicious, allowed)]
 
 
+def _fedavgm_problems(config: StrategyConfig, robots: int) -> list[Problem]:
+    return [*_rate_problems(config), *_decay_problems(config, "momentum")]
+
+
+def _fedadam_problems(config: StrategyConfig, robots: int) -> list[Problem]:
+    """What Reddi et al., 2021, Algorithm 2 allows."""
+    found = [*_rate_problems(config), *_decay_problems(config, "beta_1", "beta_2")]
+    if not (math.isfinite(config.tau) and config.tau > 0):
+        allowed = "a number above 0: the root of the squares is 0 where no robot moves a weight"
+        found.append(("strategy.tau", config.tau, allowed))
+    return found
+
+
+def _rate_problems(config: StrategyConfig) -> list[Problem]:
+    if 0 < config.server_rate <= MOST_RATE:
+        return []
+    return [("strategy.server_rate", config.server_rate, f"above 0 and at most {MOST_RATE:g}")]
+
+
+def _decay_problems(config: StrategyConfig, *keys: str) -> list[Problem]:
+    values = {key: getattr(config, key) for key in keys}
+    say = "at least 0 and below 1"
+    return [(f"strategy.{key}", value, say) for key, value in values.items() if not 0 <= value < 1]
+
+
 STRATEGIES: dict[str, _Entry] = {
     "fedavg": _Entry(_fedavg),
+    "fedavgm": _Entry(
+        _fedavgm, Scope.ONLINE, frozenset({"server_rate", "momentum"}), _fedavgm_problems
+    ),
+    "fedadam": _Entry(
+        _fedadam,
+        Scope.ONLINE,
+        frozenset({"server_rate", "beta_1", "beta_2", "tau"}),
+        _fedadam_problems,
+    ),
+    "fedmedian": _Entry(_fedmedian),
     "fedprox": _Entry(_fedprox, keys=frozenset({"proximal_mu"}), check=_fedprox_problems),
     "krum": _Entry(_krum, keys=frozenset({"malicious"}), check=_krum_problems),
     "none": _Entry(None),

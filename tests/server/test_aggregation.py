@@ -67,6 +67,12 @@ def weights(robots: int, seed: int = 0, spread: float = 0.01) -> tuple[Weights, 
     return current, moved.astype(np.float32)
 
 
+def fedadam(**changes: float) -> StrategyConfig:
+    """A configuration of ``fedadam`` that is sound but for the changes."""
+    sound = {"server_rate": 0.001, "beta_1": 0.9, "beta_2": 0.99, "tau": 0.001}
+    return StrategyConfig(name="fedadam", **{**sound, **changes})
+
+
 def play(aggregate: Aggregator, windows: Iterable[int], current: Weights, robots: int) -> Weights:
     """Several windows, each robot moving by a step that depends on robot and window alone."""
     for window in windows:
@@ -425,6 +431,32 @@ def test_each_file_fits_the_schema_and_builds(path: Path) -> None:
         assert built.aggregate(1, *weights(3)).shape == (2, P)
 
 
+@pytest.mark.parametrize(
+    ("config", "made"),
+    [
+        (
+            StrategyConfig(name="fedavgm", server_rate=0.25, momentum=0.75),
+            {"server_learning_rate": 0.25, "server_momentum": 0.75},
+        ),
+        (
+            fedadam(server_rate=0.002, beta_1=0.5, beta_2=0.75, tau=0.125),
+            {"eta": 0.002, "beta_1": 0.5, "beta_2": 0.75, "tau": 0.125},
+        ),
+    ],
+)
+def test_a_server_optimiser_takes_its_rates_from_its_keys(
+    config: StrategyConfig, made: dict[str, float]
+) -> None:
+    build, scope = {"fedavgm": FedAvgM, "fedadam": FedAdam}[config.name], Scope.ONLINE
+    expected = Aggregator(build(**made), 3, scope=scope)
+    built = build_aggregator(config, 3)
+    assert built is not None
+    for window in (1, 2, 3):
+        current, uploads = weights(3, seed=window)
+        result = built.aggregate(window, current, uploads)
+        assert result.tobytes() == expected.aggregate(window, current, uploads).tobytes()
+
+
 def test_the_default_is_the_papers_plain_mean() -> None:
     current, uploads = weights(3)
     built = build_aggregator(StrategyConfig(), 3)
@@ -436,7 +468,7 @@ def test_the_default_is_the_papers_plain_mean() -> None:
 @pytest.mark.parametrize(
     ("config", "robots", "key", "allowed"),
     [
-        (StrategyConfig(name="fedsgd"), 3, "strategy.name", "fedavg, fedprox, krum, none"),
+        (StrategyConfig(name="fedsgd"), 3, "strategy.name", "fedmedian, fedprox, krum, none"),
         (StrategyConfig(name="krum"), 2, "strategy.name", "env.robots of at least 3, not 2"),
         (StrategyConfig(name="krum", malicious=2), 5, "strategy.malicious", "from 0 to 1"),
         (StrategyConfig(name="krum", malicious=-1), 5, "strategy.malicious", "from 0 to 1"),
@@ -444,6 +476,19 @@ def test_the_default_is_the_papers_plain_mean() -> None:
         (StrategyConfig(name="fedprox", proximal_mu=math.nan), 3, "strategy.proximal_mu", "above"),
         (StrategyConfig(proximal_mu=0.1), 3, "strategy.proximal_mu", "only fedprox reads it"),
         (StrategyConfig(name="none", malicious=1), 3, "strategy.malicious", "only krum reads it"),
+        (StrategyConfig(server_rate=0.5), 3, "strategy.server_rate", "only fedavgm or fedadam"),
+        (StrategyConfig(name="fedmedian", tau=0.1), 3, "strategy.tau", "only fedadam reads it"),
+        (StrategyConfig(name="fedavgm", beta_1=0.9), 3, "strategy.beta_1", "only fedadam reads it"),
+        (StrategyConfig(name="fedavgm", server_rate=0.0), 3, "strategy.server_rate", "at most 10"),
+        (StrategyConfig(name="fedavgm", server_rate=11), 3, "strategy.server_rate", "at most 10"),
+        (StrategyConfig(name="fedavgm", momentum=1.0), 3, "strategy.momentum", "below 1"),
+        (StrategyConfig(name="fedavgm", momentum=-0.1), 3, "strategy.momentum", "at least 0"),
+        (StrategyConfig(name="fedavgm", momentum=math.nan), 3, "strategy.momentum", "below 1"),
+        (fedadam(server_rate=math.nan), 3, "strategy.server_rate", "above 0"),
+        (fedadam(beta_1=1.0), 3, "strategy.beta_1", "below 1"),
+        (fedadam(beta_2=1.0), 3, "strategy.beta_2", "below 1"),
+        (fedadam(tau=0.0), 3, "strategy.tau", "a number above 0"),
+        (fedadam(tau=math.inf), 3, "strategy.tau", "a number above 0"),
     ],
 )
 def test_problems_name_the_key_and_what_is_allowed(

@@ -455,6 +455,9 @@ def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any]) -> None:
 
 STRATEGIES: dict[str, dict[str, Any]] = {
     "fedavg": {},
+    "fedavgm": {"strategy.server_rate": 0.5, "strategy.momentum": 0.5},
+    "fedadam": {"strategy.server_rate": 0.01, "strategy.beta_1": 0.9, "strategy.tau": 0.001},
+    "fedmedian": {},
     "fedprox": {"strategy.proximal_mu": 1.0},
     "krum": {},
     "none": {},

@@ -58,7 +58,7 @@ def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     monkeypatch.setattr(session, "save_server", fatal)
 
 
-@pytest.mark.parametrize("strategy", ["fedavg", "none", "fedprox"])
+@pytest.mark.parametrize("strategy", ["fedavg", "fedavgm", "fedadam", "none", "fedprox"])
 @pytest.mark.parametrize("fading", ["static", "slot"])
 def test_a_run_that_died_ends_in_the_same_bits(
     train, strategy, fading, tmp_path, tiny_overrides, monkeypatch
@@ -223,6 +223,7 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         ["baseline=branching", "scheme.heads=shared", "agent.double=true"],
         ["baseline=random_phase"],
         ["baseline=oracle_phase", "env.channel.fading=slot"],
+        ["strategy=fedmedian"],
     ],
 )
 def test_other_worlds_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:

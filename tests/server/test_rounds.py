@@ -34,6 +34,11 @@ from server_app.rounds import FlowerFleet
 Tiny = Callable[..., Config]
 Play = Callable[..., Any]
 PATIENCE_S = 30.0
+RATES = {
+    "fedprox": {"strategy.proximal_mu": 0.5},
+    "fedavgm": {"strategy.server_rate": 0.5, "strategy.momentum": 0.5},
+    "fedadam": {"strategy.server_rate": 0.01, "strategy.beta_1": 0.9, "strategy.tau": 0.001},
+}
 
 
 @pytest.fixture(autouse=True)
@@ -120,7 +125,16 @@ def test_a_federation_that_stays_too_small_is_an_error() -> None:
 
 @pytest.mark.parametrize(
     ("clients", "per_round", "strategy"),
-    [(3, 1, "fedavg"), (2, 4, "fedavg"), (1, None, "fedavg"), (2, 3, "none"), (2, 2, "fedprox")],
+    [
+        (3, 1, "fedavg"),
+        (2, 4, "fedavg"),
+        (1, None, "fedavg"),
+        (2, 3, "none"),
+        (2, 2, "fedprox"),
+        (3, 1, "fedavgm"),
+        (2, 4, "fedadam"),
+        (2, 1, "fedmedian"),
+    ],
 )
 def test_rounds_change_no_bit(
     on_flower: Tiny,
@@ -135,7 +149,7 @@ def test_rounds_change_no_bit(
             "train.max_ticks": 60,
             "federation.windows_per_round": per_round,
             "strategy.name": strategy,
-            "strategy.proximal_mu": 0.5 if strategy == "fedprox" else 0.0,
+            **RATES.get(strategy, {}),
         }
     )
     expected = play(config)
