@@ -25,7 +25,7 @@ MISTAKES = [
     (["train.max_ticks=soon"], "train.max_ticks=soon: allowed is a whole number or null."),
     # A wrong choice.
     (["env=warehouse"], "env=warehouse: allowed is one of default."),
-    (["strategy=median"], "strategy=median: allowed is one of fedavg, "),
+    (["strategy=median"], "strategy=median: allowed is one of fedadam, fedavg, "),
     (["runtime=cluster"], "runtime=cluster: allowed is one of "),
     (["experiment=huge"], "experiment=huge: allowed is one of "),
     (["env.power.resolve=ask"], "env.power.resolve=ask: allowed is one of project, residual, zero"),

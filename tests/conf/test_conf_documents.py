@@ -67,8 +67,12 @@ def test_the_model_has_a_row_for_every_numbered_equation():
 
 
 def test_every_key_that_shapes_a_result_is_an_assumption_and_every_key_named_exists():
-    named = {key for row in OPEN_POINTS for key in re.findall(r"`([a-z_.]+)`", row) if key in KEYS}
-    dotted = {key for row in OPEN_POINTS for key in re.findall(r"`((?:env|agent)\.[a-z_.]+)`", row)}
+    named = {
+        key for row in OPEN_POINTS for key in re.findall(r"`([a-z_.0-9]+)`", row) if key in KEYS
+    }
+    dotted = {
+        key for row in OPEN_POINTS for key in re.findall(r"`((?:env|agent)\.[a-z_.0-9]+)`", row)
+    }
     left_out = {
         key
         for key in KEYS
