@@ -62,6 +62,18 @@ def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str] | N
         time.sleep(0.2)
 
 
+def start(overrides: Sequence[str], place: Path) -> subprocess.Popen[str]:
+    """The command as a process of its own, which writes to pipes."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", "train", *overrides],
+        cwd=place,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
 def state_of(folder: Path) -> str:
     """What a run says of itself; empty before it has begun."""
     try:
@@ -188,14 +200,7 @@ def test_a_deployment_outlives_a_killed_process(
     length = ["train.max_ticks=20000", "train.episodes=100000000", "state.every=10"]
     folder = tmp_path / "run"
     given = with_changes(tiny_overrides, *length, "runtime=deployment", f"run.dir={folder}")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli", "train", *given],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    process = start(given, tmp_path)
     marker = ""
     try:
         wait_until(lambda: len(checkpoints(server_folder(folder / "state"))) > 1, process)
@@ -246,14 +251,7 @@ def test_ctrl_c_ends_a_simulation_with_what_it_has_learned_and_a_resume_goes_on(
     folder = tmp_path / "run"
     changes = ["train.max_ticks=null", "train.episodes=100000000", "runtime=simulation"]
     given = with_changes(tiny_overrides, *changes, "federation.clients=2", f"run.dir={folder}")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli", "train", *given],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    process = start(given, tmp_path)
     marker = ""
     try:
         wait_until(lambda: state_of(folder) == "training", process)
