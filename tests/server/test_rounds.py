@@ -275,7 +275,7 @@ def test_a_client_that_fails_at_its_start_is_named_with_its_reason(
 def test_a_client_that_never_connects_is_named_at_the_deadline(
     on_flower: Tiny, make_fleet: Callable[..., FlowerFleet], play: Play
 ) -> None:
-    config = on_flower({"runtime.start_timeout_s": 0.5})
+    config = on_flower({"runtime.start_timeout_s": 3.0})
     with pytest.raises(RoundError, match=r"round 1: .*robot 2.*does the federation run 2"):
         play(config, fleet=make_fleet(config, FakeGrid(2, {1: silent})))
 
