@@ -160,11 +160,12 @@ class Clients:
             RobotLost: one has ended without a reply, where the run waits for the lost.
             RoundError: the same, where it does not.
         """
+        where = f"at the end of round {self.round}"
         if not self._waits:
             self.collect()
-        where = f"at the end of round {self.round}"
-        for block, reason in self._collect().items():
-            raise RobotLost(block, where, reason)
+        else:
+            for block, reason in self._collect().items():
+                raise RobotLost(block, where, reason)
         waiting = [block for block in self.places if block not in self.replies]
         if waiting and self._waits:
             online = set(self._grid.get_node_ids())
