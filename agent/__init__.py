@@ -7,6 +7,7 @@
 | `replay` | transitions as packed rows in a ring |
 | `exploration` | the epsilon schedule and random choices |
 | `losses` | TD targets and the Huber loss |
+| `buffers` | memory of stacked agents, and the scratch of a gradient step |
 | `backprop` | forward and backward of stacked agents, by hand |
 | `learner` | weights, gradients and Adam of stacked agents |
 | `stack` | n agents' replays, streams and state |
