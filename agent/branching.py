@@ -44,6 +44,7 @@ class BranchingDQN(ReplayAgents):
         self._layout = HeadRows(shape.inputs, len(heads.sizes))
         learner = BranchingLearner(shape, heads, config, self._layout)
         super().__init__(shape, config, learner, [generator])
+        self._layers = shape.views(self.online)
         self._one = np.ones(1, dtype=bool)
 
     def choose(

@@ -18,11 +18,13 @@ from typing import Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from agent.backprop import Span
 from agent.buffers import Scratch, aligned_zeros
 from agent.config import AgentConfig
-from agent.network import FloatArray, NetworkShape
+from agent.exploration import GREEDY
+from agent.network import FloatArray, NetworkShape, forward
 from agent.replay import RowLayout
 
 _BETAS = (0.9, 0.999)
@@ -87,6 +89,7 @@ class Learner:
         self._gradients = list(self._gradient[:, 0])
         self._first, self._second = list(self._moments[:, 0]), list(self._moments[:, 1])
         self._step_counts = list(self._steps[:, 0])
+        self._layers = shape.views(self.weights[:, 0])
         passes = 2 if discount else 1
         self._scratch = Scratch(shape, config, passes, min(agents, _MOST_ABREAST))
         self._spans: dict[tuple[int, int], Gradients] = {}
@@ -118,6 +121,18 @@ class Learner:
     def copy_to_target(self, agent: int) -> None:
         """Makes an agent's target network equal to its online network."""
         self.weights[agent, 1] = self.weights[agent, 0]
+
+    def choose(self, observations: FloatArray, choices: NDArray[np.int32]) -> None:
+        """Puts each agent's best action where its choice is `GREEDY`.
+
+        Args:
+            observations: shape (n, inputs).
+            choices: changed in place, shape (n,).
+        """
+        greedy = choices == GREEDY
+        if greedy.any():
+            q = forward(self._layers, observations[:, None])
+            np.copyto(choices, q[:, 0].argmax(axis=1), where=greedy, casting="same_kind")
 
     def _new_span(self, start: int, stop: int) -> Gradients:
         part = slice(start, stop)
