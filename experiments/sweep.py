@@ -17,7 +17,8 @@ from omegaconf import DictConfig
 
 from conf import Config, ConfigError, from_composed, register_schema
 from conf.compose import FOLDER, check_overrides
-from experiments.runner import ERRORS, INTERRUPTED, check_unused, say, train, train_together
+from experiments.folders import check_unused
+from experiments.runner import ERRORS, INTERRUPTED, say, train, train_together
 from server_app.preflight import check, checked_training
 
 Combination = list[str]
@@ -55,8 +56,9 @@ def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
     seeds = [config.seed for config in configs]
 
     def train_group(config: Config, folder: Path, number: int) -> int:
-        runs = [(seeds[job], folder / str(job)) for job in groups[number]]
-        return train_together([(dataclasses.replace(config, seed=s), f) for s, f in runs])
+        jobs = groups[number]
+        runs = [(dataclasses.replace(config, seed=seeds[job]), folder / str(job)) for job in jobs]
+        return train_together(runs)
 
     firsts = [item if not item.startswith(SEED) else f"{SEED}{seeds[0]}" for item in rest]
     return _sweep(firsts, place, ".", train_group)
