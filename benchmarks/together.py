@@ -21,7 +21,7 @@ from server_app.coordinator import Coordinator
 from server_app.strategies import build_aggregator
 from server_app.turns import Turns
 
-SIZES = ((3, 5), (3, 16), (1, 16))
+SIZES = ((3, 2), (3, 3), (3, 5), (1, 5))
 """Robots and runs."""
 HOW = (
     "joint steps per processor second of {} runs together over one alone, {} robots and AP,"

@@ -19,6 +19,7 @@ from conf import Config, ConfigError, from_composed, register_schema
 from conf.compose import FOLDER, check_overrides
 from experiments.folders import check_unused
 from experiments.runner import ERRORS, INTERRUPTED, say, train, train_together
+from experiments.together import check_local
 from server_app.preflight import check, checked_training
 
 Combination = list[str]
@@ -40,7 +41,8 @@ def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
     every = _combinations(overrides)
     configs = [checked_training([*combination, *hydra_keys]) for combination in every]
     if together:
-        _check_local(configs)
+        for config in configs:
+            check_local(config)
     folder = next(
         (item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None
     )
@@ -71,13 +73,6 @@ def _groups(every: Sequence[Combination]) -> list[list[int]]:
         rest = tuple(item for item in combination if not item.startswith(SEED))
         found.setdefault(rest, []).append(number)
     return list(found.values())
-
-
-def _check_local(configs: Sequence[Config]) -> None:
-    for config in configs:
-        if config.runtime.name != "local":
-            allowed = "local with --together: its runs share one process"
-            raise ConfigError.of([("runtime", config.runtime.name, allowed)])
 
 
 def _sweep(

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from agent import Stack
-from conf import Config, robots_learn
+from conf import Config, ConfigError, robots_learn
 from experiments import local
 from experiments.folders import alone, clear, placed
 from server_app import resume
@@ -50,6 +50,7 @@ def train(
     with ExitStack() as held:
         for index, run in enumerate(zip(configs, folders, strict=True)):
             try:
+                check_local(run[0])
                 config, folder = placed(*run)
                 held.enter_context(alone(folder))
                 resumed = _resumed(config, folder) if missing else None
@@ -67,6 +68,17 @@ def train(
     for member in going:
         endings[member.index] = member.ending
     return [ending for ending in endings if ending is not None]
+
+
+def check_local(config: Config) -> None:
+    """Checks that a run takes place in one process.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    if config.runtime.name != "local":
+        allowed = "local for runs together, which share one process"
+        raise ConfigError.of([("runtime", config.runtime.name, allowed)])
 
 
 def can_share(config: Config) -> bool:

@@ -236,15 +236,19 @@ def test_without_checkpoints_an_ended_run_is_left_and_another_begins_again(runs:
 
 
 def test_a_folder_of_another_run_or_of_a_running_one_is_left_as_it_is(runs: Any) -> None:
-    given = runs("runs", (0, 1, 2, 3))
+    given = [
+        *runs("runs", (0, 1, 2, 3)),
+        *runs("elsewhere", (4,), {"runtime.name": "simulation"}),
+    ]
     train(runs("runs", (0,), {"agent.learning_rate": 0.02}))
     given[1][1].mkdir(parents=True)
     (given[1][1] / "notes.txt").write_text("mine")
     before = (given[0][1] / "summary.json").read_bytes()
     given[2][1].mkdir(parents=True)
     with alone(given[2][1]):
-        *refused, done = train(given, missing=True)
+        *refused, done, elsewhere = train(given, missing=True)
     assert ["new, empty or of this run" in str(error) for error in refused] == [True, True, False]
+    assert "runtime=simulation: allowed is local" in str(elsewhere)
     assert "a folder in which no run is going on" in str(refused[2])
     assert [path.name for path in given[1][1].iterdir()] == ["notes.txt"]
     assert (given[0][1] / "summary.json").read_bytes() == before
