@@ -3,8 +3,11 @@
 | module | holds |
 |---|---|
 | `config` | the configuration's schema and checks |
+| `dueling` | value and advantages joined, and the way back |
 | `network` | the flat layout of a network, first weights, the forward used to act |
 | `replay` | transitions as packed rows in a ring |
+| `priority` | the same, drawn by how much they surprise |
+| `returns` | transitions of several slots stored as one |
 | `exploration` | the epsilon schedule and random choices |
 | `losses` | TD targets and the Huber loss |
 | `backprop` | forward and backward of stacked agents, by hand |
@@ -20,7 +23,14 @@ Nothing here knows of the environment or of Flower, and no global random state i
 """
 
 from agent.branching import BranchingDQN
-from agent.config import AgentConfig, DiscountConfig, EpsilonConfig, TargetConfig, problems
+from agent.config import (
+    AgentConfig,
+    DiscountConfig,
+    EpsilonConfig,
+    PriorityConfig,
+    TargetConfig,
+    problems,
+)
 from agent.dqn import DQN
 from agent.exploration import NO_ACTION, epsilon_at
 from agent.heads import Heads
@@ -46,6 +56,7 @@ __all__ = [
     "EpsilonConfig",
     "Heads",
     "NetworkShape",
+    "PriorityConfig",
     "TargetConfig",
     "Writer",
     "checkpoints",

@@ -19,8 +19,10 @@ import numpy as np
 import torch
 
 from agent.config import AgentConfig
+from agent.dueling import action_values, streams_slope
 from agent.losses import double_dqn_values, dqn_values, huber, td_target
 from agent.network import FloatArray, NetworkShape
+from agent.priority import Weighing
 from agent.replay import RowLayout
 
 _ALIGNMENT = 16  # floats: one cache line
@@ -71,13 +73,17 @@ class Forward:
         self.inputs: FloatArray = self.activations[0][:, :, :-1].numpy()
         self.q: FloatArray = q.numpy()
         self._steps: list[Step] = []
-        outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), q]
+        last = aligned_zeros(agents, passes, shape.actions + 1, batch_size) if shape.dueling else q
+        outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), last]
         for matrix, activation, output in zip(
             shape.matrices(weights), self.activations, outputs, strict=True
         ):
             self._steps.append(_product(matrix.mT, activation, output, _TORCH_FROM))
-            if output is not q:
+            if output is not last:
                 self._steps.append(partial(torch.relu_, output))
+        if shape.dueling:
+            streams = last.numpy()
+            self._steps.append(lambda: np.copyto(self.q, action_values(streams, axis=2)))
 
     def run(self) -> None:
         """Computes `q` from `inputs`."""
@@ -108,12 +114,14 @@ class Backward:
             activations: of their forward, whose first pass is that of `online`.
         """
         agents, size = online.shape[0], activations[0].shape[-1]
-        widths = (*shape.hidden, shape.actions)
-        slopes = [aligned_zeros(agents, width, size) for width in widths]
+        slopes = [aligned_zeros(agents, width, size) for _, width in shape.layers]
         weights, gradients = shape.matrices(online), shape.matrices(gradient)
         self.slope: FloatArray = slopes[-1].numpy()
         self._steps: list[Step] = []
-        for depth in reversed(range(len(widths))):
+        if shape.dueling:
+            self.slope = aligned_zeros(agents, shape.actions, size).numpy()
+            self._steps.append(partial(streams_slope, self.slope, slopes[-1].numpy()))
+        for depth in reversed(range(len(slopes))):
             read, slope = activations[depth][:, 0], slopes[depth]
             self._steps.append(_product(read, slope.mT, gradients[depth], _TORCH_GRADIENT_FROM))
             if depth > 0:
@@ -138,6 +146,7 @@ class Span:
         weights: torch.Tensor,
         gradient: torch.Tensor,
         batch: FloatArray,
+        weighing: Weighing | None = None,
     ) -> None:
         """Prepares buffers.
 
@@ -148,11 +157,13 @@ class Span:
             weights: their online and target networks, shape (n, 2, P).
             gradient: where the online networks' gradient goes, shape (n, P).
             batch: where their sampled transitions will stand, shape (n, B, row width).
+            weighing: what each sample weighs, and where its error goes; None: all weigh 1.
         """
         agents, size = batch.shape[:2]
         passes = 2 if discount else 1
         self._config, self._discount = config, discount
         self._layout, self._batch, self._size = RowLayout(shape.inputs), batch, size
+        self._weighing = weighing
         states = batch[:, :, : passes * shape.inputs]
         self._states = states.reshape(agents, size, passes, shape.inputs).transpose(0, 2, 3, 1)
         self._forward = Forward(shape, weights[:, :passes], size)
@@ -174,6 +185,8 @@ class Span:
         error = self._flat_q.take(action + self._q_at)
         error -= self._targets()
         losses, slope = huber(error, self._config.huber_delta)
+        if self._weighing is not None:
+            self._weighing.weigh(error, losses, slope)
         slope *= 1 / self._size
         self._flat_slope.fill(0)
         self._flat_slope[action + self._slope_at] = slope

@@ -15,6 +15,7 @@ from agent.exploration import GREEDY, explore
 from agent.learner import Learner
 from agent.network import FloatArray, NetworkShape, forward
 from agent.replay import RowLayout
+from agent.returns import ReturnWindow
 from agent.stack import ReplayAgents
 
 
@@ -45,6 +46,10 @@ class DQN(ReplayAgents):
         learner = Learner(shape, config, discount, len(generators), proximal_mu)
         super().__init__(shape, config, learner, generators)
         self._layout = RowLayout(shape.inputs)
+        if config.n_step > 1 and discount:  # without a discount nothing further is ahead
+            self._windows = [
+                ReturnWindow(self._layout, config.n_step, discount) for _ in self._generators
+            ]
 
     def act(
         self, observations: FloatArray, epsilon: float, active: NDArray[np.bool_]
@@ -62,7 +67,7 @@ class DQN(ReplayAgents):
         choices = explore(self._generators, epsilon, self.shape.actions, active)
         greedy = choices == GREEDY
         if greedy.any():
-            q = forward(self._layers, observations[:, None])
+            q = forward(self._layers, observations[:, None], self.shape.dueling)
             np.copyto(choices, q[:, 0].argmax(axis=1), where=greedy, casting="same_kind")
         return choices
 
