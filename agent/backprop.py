@@ -18,6 +18,7 @@ from functools import partial
 import numpy as np
 import torch
 
+from agent.buffers import Scratch, aligned_zeros
 from agent.config import AgentConfig
 from agent.dueling import action_values, streams_slope
 from agent.losses import double_dqn_values, dqn_values, huber, td_target
@@ -25,7 +26,6 @@ from agent.network import FloatArray, NetworkShape
 from agent.priority import Weighing
 from agent.replay import RowLayout
 
-_ALIGNMENT = 16  # floats: one cache line
 _TORCH_FROM = 1 << 20  # multiply-adds of a product that torch does sooner than NumPy ...
 _TORCH_GRADIENT_FROM = 1 << 17  # ... and of one that sums over the batch
 _FLOAT_BYTES = 4
@@ -34,26 +34,8 @@ _relu_backward = torch.ops.aten.threshold_backward.grad_input
 Step = Callable[[], object]
 
 
-def aligned_zeros(agents: int, *shape: int) -> torch.Tensor:
-    """Zeros in which each agent's part starts on a cache line.
-
-    An agent's numbers then lie alike whether it is alone or one of many; vectorised loops may
-    depend on alignment.
-
-    Args:
-        agents: n.
-        shape: of one agent's part.
-
-    Returns:
-        A view of shape (n, *shape), contiguous within an agent's part.
-    """
-    size = int(np.prod(shape))
-    padded = -(-size // _ALIGNMENT) * _ALIGNMENT
-    return torch.zeros(agents, padded)[:, :size].view(agents, *shape)
-
-
 class Forward:
-    """The forward of stacked networks on feature-major inputs, into buffers of its own.
+    """The forward of stacked networks on feature-major inputs.
 
     Attributes:
         activations: what each layer reads, a constant 1 last; shapes
@@ -62,18 +44,21 @@ class Forward:
         q: the result, shape (n, passes, actions, B).
     """
 
-    def __init__(self, shape: NetworkShape, weights: torch.Tensor, batch_size: int) -> None:
-        """Plans the forward of networks whose rows are `weights`, shape (n, passes, P)."""
-        agents, passes = weights.shape[:2]
-        widths = (shape.inputs, *shape.hidden)
-        self.activations = [aligned_zeros(agents, passes, w + 1, batch_size) for w in widths]
-        for activation in self.activations:
-            activation[:, :, -1] = 1
-        q = aligned_zeros(agents, passes, shape.actions, batch_size)
+    def __init__(
+        self, shape: NetworkShape, weights: torch.Tensor, layers: list[torch.Tensor]
+    ) -> None:
+        """Plans the forward of networks whose rows are `weights`, shape (n, passes, P).
+
+        Args:
+            shape: of the networks.
+            weights: their rows.
+            layers: buffers for at least n agents.
+        """
+        *self.activations, q = (layer[: len(weights)] for layer in layers)
         self.inputs: FloatArray = self.activations[0][:, :, :-1].numpy()
         self.q: FloatArray = q.numpy()
         self._steps: list[Step] = []
-        last = aligned_zeros(agents, passes, shape.actions + 1, batch_size) if shape.dueling else q
+        last = aligned_zeros(*q.shape[:2], q.shape[2] + 1, q.shape[3]) if shape.dueling else q
         outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), last]
         for matrix, activation, output in zip(
             shape.matrices(weights), self.activations, outputs, strict=True
@@ -104,6 +89,7 @@ class Backward:
         online: torch.Tensor,
         gradient: torch.Tensor,
         activations: Sequence[torch.Tensor],
+        slopes: Sequence[torch.Tensor],
     ) -> None:
         """Plans the steps from the last layer to the first.
 
@@ -112,14 +98,14 @@ class Backward:
             online: their rows, shape (n, P).
             gradient: where theirs goes, shape (n, P).
             activations: of their forward, whose first pass is that of `online`.
+            slopes: buffers for at least n agents.
         """
-        agents, size = online.shape[0], activations[0].shape[-1]
-        slopes = [aligned_zeros(agents, width, size) for _, width in shape.layers]
+        slopes = [slope[: len(online)] for slope in slopes]
         weights, gradients = shape.matrices(online), shape.matrices(gradient)
         self.slope: FloatArray = slopes[-1].numpy()
         self._steps: list[Step] = []
         if shape.dueling:
-            self.slope = aligned_zeros(agents, shape.actions, size).numpy()
+            self.slope = aligned_zeros(len(online), shape.actions, slopes[-1].shape[-1]).numpy()
             self._steps.append(partial(streams_slope, self.slope, slopes[-1].numpy()))
         for depth in reversed(range(len(slopes))):
             read, slope = activations[depth][:, 0], slopes[depth]
@@ -136,7 +122,7 @@ class Backward:
 
 
 class Span:
-    """Neighbouring agents that learn together: their buffers and views, made once."""
+    """Neighbouring agents that learn together: their views and steps, planned once."""
 
     def __init__(
         self,
@@ -146,9 +132,10 @@ class Span:
         weights: torch.Tensor,
         gradient: torch.Tensor,
         batch: FloatArray,
+        scratch: Scratch,
         weighing: Weighing | None = None,
     ) -> None:
-        """Prepares buffers.
+        """Plans a gradient step.
 
         Args:
             shape: of the networks.
@@ -157,6 +144,7 @@ class Span:
             weights: their online and target networks, shape (n, 2, P).
             gradient: where the online networks' gradient goes, shape (n, P).
             batch: where their sampled transitions will stand, shape (n, B, row width).
+            scratch: buffers for at least n agents.
             weighing: what each sample weighs, and where its error goes; None: all weigh 1.
         """
         agents, size = batch.shape[:2]
@@ -166,9 +154,12 @@ class Span:
         self._weighing = weighing
         states = batch[:, :, : passes * shape.inputs]
         self._states = states.reshape(agents, size, passes, shape.inputs).transpose(0, 2, 3, 1)
-        self._forward = Forward(shape, weights[:, :passes], size)
-        self._chooser = Forward(shape, weights[:, :1], size) if config.double and discount else None
-        self._backward = Backward(shape, weights[:, 0], gradient, self._forward.activations)
+        self._forward = Forward(shape, weights[:, :passes], scratch.layers)
+        self._chooser = None
+        if scratch.chooser is not None:
+            self._chooser = Forward(shape, weights[:, :1], scratch.chooser)
+        read = self._forward.activations
+        self._backward = Backward(shape, weights[:, 0], gradient, read, scratch.slopes)
         self._flat_q, self._q_at = _flat(self._forward.q)
         self._flat_slope, self._slope_at = _flat(self._backward.slope)
 

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from agent.backprop import Backward, Forward
+from agent.buffers import Scratch
 from agent.config import AgentConfig
 from agent.exploration import NO_ACTION
 from agent.heads import HeadRows, Heads
@@ -43,6 +44,7 @@ class BranchingDQN(ReplayAgents):
         self._layout = HeadRows(shape.inputs, len(heads.sizes))
         learner = BranchingLearner(shape, heads, config, self._layout)
         super().__init__(shape, config, learner, [generator])
+        self._layers = shape.views(self.online)
         self._one = np.ones(1, dtype=bool)
 
     def choose(
@@ -105,6 +107,7 @@ class BranchingLearner(Learner):
         """Reserves the network's rows, all zero."""
         self._heads, self._layout = heads, layout
         super().__init__(shape, config, 0.0, 1, width=layout.width)
+        self._scratch = Scratch(shape, config, 2, 1)
 
     def _new_span(self, start: int, stop: int) -> Gradients:
         return _HeadGradients(
@@ -115,6 +118,7 @@ class BranchingLearner(Learner):
             self._gradient[:, 0],
             self._layout,
             self.batch[0],
+            self._scratch,
         )
 
 
@@ -130,14 +134,18 @@ class _HeadGradients:
         gradient: torch.Tensor,
         layout: HeadRows,
         batch: FloatArray,
+        scratch: Scratch,
     ) -> None:
-        """Prepares buffers for one network's rows (1, 2, P) and a batch (B, row width)."""
+        """Plans the step of one network's rows (1, 2, P) on a batch (B, row width)."""
         size, inputs = len(batch), shape.inputs
         self._heads, self._config, self._layout, self._batch = heads, config, layout, batch
         self._states = batch[:, : 2 * inputs].reshape(size, 2, inputs).transpose(1, 2, 0)
-        self._forward = Forward(shape, weights, size)
-        self._chooser = Forward(shape, weights[:, :1], size) if config.double else None
-        self._backward = Backward(shape, weights[:, 0], gradient, self._forward.activations)
+        self._forward = Forward(shape, weights, scratch.layers)
+        self._chooser = None
+        if scratch.chooser is not None:
+            self._chooser = Forward(shape, weights[:, :1], scratch.chooser)
+        read = self._forward.activations
+        self._backward = Backward(shape, weights[:, 0], gradient, read, scratch.slopes)
         self._sample = np.arange(size)
 
     def run(self) -> FloatArray:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from agent.config import AgentConfig
-from agent.exploration import GREEDY, explore
+from agent.exploration import explore
+from agent.interface import MakeLearner
 from agent.learner import Learner
-from agent.network import FloatArray, NetworkShape, forward
+from agent.network import FloatArray, NetworkShape
 from agent.replay import RowLayout
 from agent.returns import ReturnWindow
 from agent.stack import ReplayAgents
@@ -33,6 +34,7 @@ class DQN(ReplayAgents):
         discount: float,
         generators: Sequence[np.random.Generator],
         proximal_mu: float = 0.0,
+        make_learner: MakeLearner = Learner,
     ) -> None:
         """Makes agents with weights of zero; `load` gives them their first ones.
 
@@ -42,8 +44,9 @@ class DQN(ReplayAgents):
             discount: at least 0 and below 1.
             generators: each agent's own, n of them.
             proximal_mu: FedProx's mu; 0 leaves the term out.
+            make_learner: a stack's seat, where agents of several runs learn together.
         """
-        learner = Learner(shape, config, discount, len(generators), proximal_mu)
+        learner = make_learner(shape, config, discount, len(generators), proximal_mu)
         super().__init__(shape, config, learner, generators)
         self._layout = RowLayout(shape.inputs)
         if config.n_step > 1 and discount:  # without a discount nothing further is ahead
@@ -62,13 +65,10 @@ class DQN(ReplayAgents):
             active: who acts, shape (n,).
 
         Returns:
-            Actions, -1 for the idle, shape (n,).
+            Actions, -1 for the idle, shape (n,); in a stack they stand there once it has caught up.
         """
         choices = explore(self._generators, epsilon, self.shape.actions, active)
-        greedy = choices == GREEDY
-        if greedy.any():
-            q = forward(self._layers, observations[:, None], self.shape.dueling)
-            np.copyto(choices, q[:, 0].argmax(axis=1), where=greedy, casting="same_kind")
+        self._learner.choose(observations, choices)
         return choices
 
     def learn(

@@ -13,19 +13,25 @@ product is its own, and Adam takes its row as a tensor of its own with a step co
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from agent.backprop import Span, aligned_zeros
+from agent.backprop import Span
+from agent.buffers import Scratch, aligned_zeros
 from agent.config import AgentConfig
-from agent.network import FloatArray, NetworkShape
+from agent.exploration import GREEDY
+from agent.network import FloatArray, NetworkShape, forward
 from agent.priority import Weighing
 from agent.replay import RowLayout
 
 _BETAS = (0.9, 0.999)
 _EPSILON = 1e-8
+_MOST_ABREAST = 8
+"""Agents in one product: more no longer save anything and outgrow a core's cache (measured)."""
 
 
 class Gradients(Protocol):
@@ -89,6 +95,9 @@ class Learner:
         self._gradients = list(self._gradient[:, 0])
         self._first, self._second = list(self._moments[:, 0]), list(self._moments[:, 1])
         self._step_counts = list(self._steps[:, 0])
+        self._layers = shape.views(self.weights[:, 0])
+        passes = 2 if discount else 1
+        self._scratch = Scratch(shape, config, passes, min(agents, _MOST_ABREAST))
         self._spans: dict[tuple[int, int], Gradients] = {}
 
     def update(self, learning: Sequence[bool]) -> FloatArray:
@@ -101,7 +110,7 @@ class Learner:
             Mean losses, nan for those who do not learn, shape (n,).
         """
         losses = np.full(len(self._online), np.nan, np.float32)
-        for start, stop in neighbours(learning):
+        for start, stop in neighbours(learning, _MOST_ABREAST):
             span = self._spans.get((start, stop))
             if span is None:
                 span = self._spans[start, stop] = self._new_span(start, stop)
@@ -119,6 +128,18 @@ class Learner:
         """Makes an agent's target network equal to its online network."""
         self.weights[agent, 1] = self.weights[agent, 0]
 
+    def choose(self, observations: FloatArray, choices: NDArray[np.int32]) -> None:
+        """Puts each agent's best action where its choice is `GREEDY`.
+
+        Args:
+            observations: shape (n, inputs).
+            choices: changed in place, shape (n,).
+        """
+        greedy = choices == GREEDY
+        if greedy.any():
+            q = forward(self._layers, observations[:, None], self._shape.dueling)
+            np.copyto(choices, q[:, 0].argmax(axis=1), where=greedy, casting="same_kind")
+
     def _new_span(self, start: int, stop: int) -> Gradients:
         part = slice(start, stop)
         return Span(
@@ -128,6 +149,7 @@ class Learner:
             self._weights[part],
             self._gradient[part, 0],
             self.batch[part],
+            self._scratch,
             self.weighing and self.weighing.part(start, stop),
         )
 
@@ -186,11 +208,12 @@ def learning_rate_at(config: AgentConfig, updates: int) -> float:
     return config.learning_rate + share * (config.learning_rate_end - config.learning_rate)
 
 
-def neighbours(chosen: Sequence[bool]) -> Iterator[tuple[int, int]]:
-    """Maximal runs [start, stop) of chosen agents.
+def neighbours(chosen: Sequence[bool], most: int) -> Iterator[tuple[int, int]]:
+    """Runs [start, stop) of chosen agents that stand side by side.
 
     Args:
         chosen: a flag per agent.
+        most: agents in a run; longer ones are cut into even parts.
 
     Yields:
         The runs, first to last.
@@ -200,7 +223,9 @@ def neighbours(chosen: Sequence[bool]) -> Iterator[tuple[int, int]]:
         if flag and start is None:
             start = agent
         elif not flag and start is not None:
-            yield start, agent
+            parts = -(-(agent - start) // most)
+            cuts = [start + (agent - start) * part // parts for part in range(parts + 1)]
+            yield from pairwise(cuts)
             start = None
 
 

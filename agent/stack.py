@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config import AgentConfig
-from agent.learner import Learner
+from agent.interface import Learns
 from agent.network import FloatArray, NetworkShape
 from agent.priority import PrioritisedReplay
 from agent.replay import Replay
@@ -34,7 +34,7 @@ class ReplayAgents:
         self,
         shape: NetworkShape,
         config: AgentConfig,
-        learner: Learner,
+        learner: Learns,
         generators: Sequence[np.random.Generator],
     ) -> None:
         """Makes agents with weights of zero; `load` gives them their first ones.
@@ -53,7 +53,6 @@ class ReplayAgents:
         self._rows: FloatArray = np.zeros((len(self), width), np.float32)
         self.online: FloatArray = learner.weights[:, 0]
         self.target: FloatArray = learner.weights[:, 1]
-        self._layers = shape.views(self.online)
 
     def __len__(self) -> int:
         """The number of agents, n."""

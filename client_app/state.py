@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import CheckpointError, Writer, load_checkpoint, save_checkpoint
+from agent import (
+    CheckpointError,
+    Learner,
+    MakeLearner,
+    Writer,
+    load_checkpoint,
+    save_checkpoint,
+)
 from client_app.robots import RobotGroup
 from conf import Config
 from conf.places import robot_folder, robot_windows, round_folder
@@ -16,7 +23,7 @@ from env.link import Step, Want
 
 
 class Keeper:
-    """Robots on the link that write their checkpoints before they answer, and go back to them.
+    """Robots on the link that write their checkpoints before they upload, and go back to them.
 
     A checkpoint of every ``state.every`` windows is one that the server and all robots write; one
     at the end of a Flower round carries the robots over to the process that plays the next.
@@ -25,14 +32,23 @@ class Keeper:
         config: the run's configuration.
         robots: which robots these are.
         state: the folder of checkpoints on this machine; None writes none.
+        make_learner: a stack's seat, where the robots of several runs learn together.
 
     Attributes:
         parameters: P, of one network.
     """
 
-    def __init__(self, config: Config, robots: Sequence[int], state: Path | None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        robots: Sequence[int],
+        state: Path | None,
+        make_learner: MakeLearner = Learner,
+    ) -> None:
         self._config, self._state = config, state
-        self._group = RobotGroup(config, robots)
+        self._make_learner = make_learner
+        self._ended: tuple[int, bool] | None = None
+        self._group = RobotGroup(config, robots, make_learner)
         self.parameters = self._group.parameters
         self._writer = Writer()
 
@@ -40,11 +56,16 @@ class Keeper:
         """See ``Robots.step``."""
         actions = self._group.step(step)
         if step.want is not Want.ACTIONS:
-            self._save(step.window, step.want is Want.FAREWELL)
+            self._ended = (step.window, step.want is Want.FAREWELL)
         return actions
 
     def upload(self) -> NDArray[np.float32]:
-        """See ``Robots.upload``."""
+        """See ``Robots.upload``.
+
+        Raises:
+            OSError: a checkpoint could not be written before.
+        """
+        self._save()
         return self._group.upload()
 
     def download(self, window: int, weights: NDArray[np.float32]) -> None:
@@ -55,6 +76,7 @@ class Keeper:
         """See ``Robots.windows``."""
         if self._state is None:
             return []
+        self._save()
         self._writer.wait()
         robots = self._group.robots
         places = [robot_windows(self._state, robot) for robot in robots]
@@ -69,7 +91,8 @@ class Keeper:
             OSError: a checkpoint could not be written before.
         """
         self._writer.wait()
-        self._group = RobotGroup(self._config, self._group.robots)
+        self._ended = None
+        self._group = RobotGroup(self._config, self._group.robots, self._make_learner)
         if window:
             if self._state is None:
                 raise CheckpointError(f"no checkpoint {window} was kept: state.every is null")
@@ -85,12 +108,15 @@ class Keeper:
         """
         self._writer.close()
 
-    def _save(self, window: int, last: bool) -> None:
-        """Writes the checkpoints of a window, where it is due or the last of a round.
+    def _save(self) -> None:
+        """Writes the checkpoints of a window that has ended, where due or the last of a round.
 
         Raises:
             OSError: the ones before could not be written.
         """
+        if self._ended is None:
+            return
+        (window, last), self._ended = self._ended, None
         every = self._config.state.every
         due = every is not None and window % every == 0
         if self._state is None or not (due or last):

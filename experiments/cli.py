@@ -30,12 +30,13 @@ Examples:
 Keys and their defaults: risfleet train --cfg"""
 
 TRAIN_USAGE = """\
-usage: risfleet train [-m | --cfg] [KEY=VALUE ...]
+usage: risfleet train [-m [--together] | --cfg] [KEY=VALUE ...]
 
 Trains a fleet and writes a run folder.
 
   KEY=VALUE        sets a key, such as env.robots=4, or a group, such as experiment=quick
   -m, --multirun   runs every combination of the values given as KEY=A,B,...
+  --together       trains the seeds of a sweep side by side: faster, and the same weights
   --cfg            prints every key with its value and trains nothing
   -h, --help       prints this"""
 

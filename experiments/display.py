@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
@@ -113,18 +114,18 @@ def _duration(seconds: float) -> str:
 
 
 class Display:
-    """Shows a run's progress while it lasts, from what it writes to its folder.
+    """Shows the progress of runs while they last, from what they write to their folders.
 
-    Live on a terminal; elsewhere a plain line every ten seconds. It reads a file only, so it
-    shows every runtime alike.
+    Live on a terminal; elsewhere a plain line every ten seconds. It reads files only, so it shows
+    every runtime alike.
 
     Args:
-        folder: the run's folder.
+        folders: the runs'.
         console: where to show.
     """
 
-    def __init__(self, folder: Path, console: Console) -> None:
-        self._folder, self._console = folder, console
+    def __init__(self, folders: Sequence[Path], console: Console) -> None:
+        self._folders, self._console = folders, console
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="display", daemon=True)
 
@@ -144,32 +145,42 @@ class Display:
             return
         with Live(console=self._console, refresh_per_second=4, transient=True) as live:
             while not self._ended.wait(POLL_S):
-                status = read_progress(self._folder)
-                if status is not None:
-                    live.update(_panel(status))
+                found = [(folder, read_progress(folder)) for folder in self._folders]
+                panels = [_panel(status, self._name(folder)) for folder, status in found if status]
+                live.update(Group(*panels))
 
     def _print_lines(self) -> None:
-        shown, printed = "", 0.0
+        shown, printed = dict.fromkeys(self._folders, ""), dict.fromkeys(self._folders, 0.0)
         while True:
             ended = self._ended.wait(POLL_S)
-            status = read_progress(self._folder)
-            due = not ended and time.monotonic() - printed >= LINE_PERIOD_S
-            if status is not None and (due or status["state"] != shown):
-                shown, printed = status["state"], time.monotonic()
-                line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
-                if status["state"] == "waiting":
-                    line = f"waiting: {status['message']}"
-                self._console.print(line, highlight=False, soft_wrap=True)
+            for folder in self._folders:
+                status = read_progress(folder)
+                due = not ended and time.monotonic() - printed[folder] >= LINE_PERIOD_S
+                if status is not None and (due or status["state"] != shown[folder]):
+                    shown[folder], printed[folder] = status["state"], time.monotonic()
+                    self._print_line(self._name(folder), status)
             if ended:
                 return
 
+    def _print_line(self, name: str, status: dict[str, Any]) -> None:
+        line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
+        if status["state"] == "waiting":
+            line = f"waiting: {status['message']}"
+        self._console.print(f"{name}{line}", highlight=False, soft_wrap=True)
 
-def _panel(status: dict[str, Any]) -> Table:
+    def _name(self, folder: Path) -> str:
+        """What stands before a run's progress: nothing where there is one run."""
+        return f"{folder.name}: " if len(self._folders) > 1 else ""
+
+
+def _panel(status: dict[str, Any], name: str = "") -> Table:
     outer = Table.grid(padding=(0, 0))
+    if name:
+        outer.add_row(name)
     outer.add_row(ProgressBar(total=1.0, completed=share_done(status), width=60))
     figures = Table.grid(padding=(0, 2))
     columns = describe(status)
-    figures.add_row(*(f"[dim]{name or 'state'}[/dim]" for name, _ in columns))
+    figures.add_row(*(f"[dim]{label or 'state'}[/dim]" for label, _ in columns))
     figures.add_row(*(text for _, text in columns))
     outer.add_row(figures)
     if status["state"] == "waiting":

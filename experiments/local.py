@@ -16,7 +16,8 @@ from env.link import LocalFleet, Want
 from server_app.central import CentralAgent
 from server_app.checkpoint import Checkpoint
 from server_app.recorder import report_failure
-from server_app.session import Session
+from server_app.session import Session, Share
+from server_app.turns import Turns, play_out
 
 
 class InProcessFleet(LocalFleet):
@@ -31,13 +32,7 @@ class InProcessFleet(LocalFleet):
 
     def upload(self, window: int) -> NDArray[np.float32]:
         """See ``Fleet.upload``."""
-        if not self._farewell:
-            return super().upload(window)
-        parts = [(rows, handler.upload()) for _, rows, handler in self._handlers]
-        result = np.empty((self._robots, *parts[0][1].shape[1:]), np.float32)
-        for rows, weights in parts:
-            result[rows] = weights
-        return result
+        return self._uploaded() if self._farewell else super().upload(window)
 
 
 def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> dict[str, Any]:
@@ -51,14 +46,28 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     Returns:
         What ``summary.json`` holds.
     """
+    return play_out(turns(config, folder, Share(), resumed))
+
+
+def turns(
+    config: Config, folder: Path, share: Share, resumed: Checkpoint | None = None
+) -> Turns[dict[str, Any]]:
+    """The same, with a pause wherever the agents of runs beside it may learn with its own.
+
+    Args:
+        config: the run's configuration.
+        folder: the run's folder.
+        share: what the run has of this process.
+        resumed: where the run goes on, if it does not begin.
+    """
     try:
-        session = Session(config, folder, resumed)
+        session = Session(config, folder, resumed, share=share)
         if isinstance(session.ap, CentralAgent):
-            return session.train(session.ap.fleet)
+            return (yield from session.turns(session.ap.fleet))
         robots = tuple(range(config.env.robots))
         state = None if config.state.every is None else folder / STATE
-        with closing(Keeper(config, robots, state)) as keeper:
-            return session.train(InProcessFleet([(robots, keeper)]))
+        with closing(Keeper(config, robots, state, share.robots)) as keeper:
+            return (yield from session.turns(InProcessFleet([(robots, keeper)])))
     except BaseException as error:
         report_failure(folder, error)
         raise

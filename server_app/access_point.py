@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import DQN, epsilon_at
+from agent import DQN, Learner, MakeLearner, epsilon_at
 from conf import Config, ap_network
 from env.seeding import Stream, stream
 from env.world import Outcome, World
@@ -17,8 +17,12 @@ from env.world import Outcome, World
 class PhaseAgent(Protocol):
     """Who sets the RIS's phases: a DQN, a rule, or one agent that decides for the robots, too."""
 
-    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
-        """The phase action for a state of shape (1, global_size), as an array of shape (1,)."""
+    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
+        """Chooses the phase action for a state of shape (1, global_size).
+
+        Returns:
+            The action, shape (1,); in a stack it stands there once that has caught up.
+        """
         ...
 
     def settle(
@@ -55,21 +59,27 @@ class AccessPoint:
 
     Args:
         config: the run's configuration.
+        make_learner: a stack's seat, where several runs' access points learn together.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, make_learner: MakeLearner = Learner) -> None:
         self._epsilon = config.agent.epsilon
         generator = stream(config.seed, Stream.AP)
         self.shape = ap_network(config)
-        self.agent = DQN(self.shape, config.agent, config.agent.discount.ap, [generator])
+        self.agent = DQN(
+            self.shape,
+            config.agent,
+            config.agent.discount.ap,
+            [generator],
+            make_learner=make_learner,
+        )
         first = self.shape.initial_weights(stream(config.seed, Stream.WEIGHTS, 1))
         self.agent.load(np.stack([first, first]))
         self._always = np.ones(1, dtype=bool)
 
-    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
+    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
         """See ``PhaseAgent.act``."""
-        epsilon = epsilon_at(self._epsilon, tick)
-        return self.agent.act(state, epsilon, self._always).astype(np.int64)
+        return self.agent.act(state, epsilon_at(self._epsilon, tick), self._always)
 
     def settle(
         self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]

@@ -195,8 +195,14 @@ def test_load_takes_weights_for_all_or_for_each_and_leaves_moments_alone():
 
 
 def test_neighbours_are_maximal_runs():
-    assert list(neighbours([True, True, False, True])) == [(0, 2), (3, 4)]
-    assert list(neighbours([False, False])) == []
+    assert list(neighbours([True, True, False, True], 8)) == [(0, 2), (3, 4)]
+    assert list(neighbours([False, False], 8)) == []
+
+
+def test_long_runs_of_neighbours_are_cut_into_even_parts():
+    chosen = [False, *[True] * 9, False, *[True] * 8]
+    assert list(neighbours(chosen, 8)) == [(1, 5), (5, 10), (11, 19)]
+    assert list(neighbours([True] * 7, 3)) == [(0, 2), (2, 4), (4, 7)]
 
 
 def test_no_global_random_state_is_touched():

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 
 from conf.schema import FederationConfig
-from experiments.train import RUNTIMES
+from experiments.runner import RUNTIMES
 
 ROBOTS = 3
 TICKS_PER_WINDOW = 25

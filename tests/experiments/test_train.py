@@ -18,7 +18,7 @@ from safetensors.numpy import load_file
 
 from agent import digest
 from conf import Config, ConfigError, from_yaml
-from experiments import local, train
+from experiments import local, runner
 from experiments.cli import main
 from experiments.flower import FlowerError
 from server_app.session import STOP_FILE
@@ -80,7 +80,7 @@ def test_what_flower_or_the_user_got_wrong_is_said_without_a_traceback(
     def fail(*_: Any) -> None:
         raise error
 
-    monkeypatch.setitem(train.RUNTIMES, "local", fail)
+    monkeypatch.setitem(runner.RUNTIMES, "local", fail)
     assert main(["train", *SMALL]) == (1 if isinstance(error, FlowerError) else 2)
     assert capsys.readouterr().err == f"risfleet: {error}\n"
 
@@ -153,7 +153,7 @@ def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(
             raise FlowerError("Port 1 is in use.")
         return local.train(config, folder)
 
-    monkeypatch.setitem(train.RUNTIMES, "local", fail_once)
+    monkeypatch.setitem(runner.RUNTIMES, "local", fail_once)
     assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 1
     assert capsys.readouterr().err == "risfleet: Port 1 is in use.\n"
     assert summary(tmp_path / "sweep" / "1")["seed"] == 1
@@ -164,7 +164,7 @@ def test_ctrl_c_ends_a_whole_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         signal.raise_signal(signal.SIGINT)
         return local.train(config, folder)
 
-    monkeypatch.setitem(train.RUNTIMES, "local", interrupted)
+    monkeypatch.setitem(runner.RUNTIMES, "local", interrupted)
     assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 130
     assert summary(tmp_path / "sweep" / "0")["stopped_early"]
     assert not (tmp_path / "sweep" / "1").exists()
@@ -175,7 +175,7 @@ def test_ctrl_c_ends_a_whole_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_the_first_ctrl_c_asks_and_the_second_ends(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
-    with train.StopOnInterrupt(tmp_path, Console(quiet=True)) as stop:
+    with runner.StopOnInterrupt([tmp_path], Console(quiet=True)) as stop:
         signal.raise_signal(signal.SIGINT)
         assert stop.asked
         assert (tmp_path / STOP_FILE).exists()

@@ -1,0 +1,204 @@
+"""Runs as the command line starts them: a folder each, progress, and Ctrl-C."""
+
+from __future__ import annotations
+
+import dataclasses
+import fcntl
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rich.console import Console
+
+from conf import Config, ConfigError
+from env.link import LinkError
+from env.plugins import PluginError
+from experiments import local, on_flower, together
+from experiments.display import Display, show_summary
+from experiments.flower import FlowerError
+from server_app.checkpoint import Checkpoint
+from server_app.session import STOP_FILE
+
+INTERRUPTED = 130
+ERRORS = (ConfigError, PluginError, FlowerError, LinkError, OSError)
+"""What ends a run with a sentence: a mistake, or a machine, disk or network that fails."""
+
+Runtime = Callable[[Config, Path, Checkpoint | None], dict[str, Any]]
+RUNTIMES: dict[str, Runtime] = {
+    "local": local.train,
+    "simulation": on_flower.train,
+    "deployment": on_flower.train,
+}
+
+
+def say(error: Exception) -> int:
+    """Prints what ended a run or kept it from starting; returns the exit status."""
+    print(f"risfleet: {error}", file=sys.stderr)
+    return 2 if isinstance(error, ConfigError | PluginError) else 1
+
+
+def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> int:
+    """Trains one run and shows it.
+
+    Args:
+        config: a checked configuration.
+        folder: the run's folder, new or empty unless it goes on.
+        resumed: where the run goes on, if it does not begin.
+
+    Returns:
+        0, or 130 if Ctrl-C ended the run early.
+    """
+    console = Console()
+    config, folder = _placed(config, folder, console)
+    with _alone(folder):
+        if resumed is not None:
+            console.print(f"going on from window {resumed.window}", highlight=False)
+            for stale in ("progress.json", "summary.json"):
+                (folder / stale).unlink(missing_ok=True)
+        with StopOnInterrupt([folder], console) as stop, Display([folder], console):
+            summary = RUNTIMES[config.runtime.name](config, folder, resumed)
+    if summary:
+        show_summary(console, summary, folder)
+    else:
+        console.print("The run has ended; its folder is on the machine of the ServerApp.")
+    return _ended(stop, console)
+
+
+def train_together(runs: Sequence[tuple[Config, Path]]) -> int:
+    """Trains runs side by side in this process and shows them; one that fails says why.
+
+    Args:
+        runs: checked configurations that differ in nothing but their seeds, and new folders.
+
+    Returns:
+        0, 1 if a run failed, or 130 if Ctrl-C ended them early.
+    """
+    console = Console()
+    placed = [_placed(config, folder, console) for config, folder in runs]
+    folders = [folder for _, folder in placed]
+    with ExitStack() as held:
+        for folder in folders:
+            held.enter_context(_alone(folder))
+        stop = held.enter_context(StopOnInterrupt(folders, console))
+        held.enter_context(Display(folders, console))
+        endings = together.train(placed)
+    status = 0
+    for ending, folder in zip(endings, folders, strict=True):
+        if not isinstance(ending, Exception):
+            show_summary(console, ending, folder)
+        elif isinstance(ending, ERRORS):
+            status = max(status, say(ending))
+        else:
+            raise ending
+    return _ended(stop, console) or status
+
+
+def _placed(config: Config, folder: Path, console: Console) -> tuple[Config, Path]:
+    """A configuration that says where its run is, and the folder, which is made and named.
+
+    Raises:
+        ConfigError: it cannot be made.
+    """
+    folder = folder.absolute()
+    config = dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder)))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        allowed = f"a folder that can be made ({error.strerror})"
+        raise ConfigError.of([("run.dir", folder, allowed)]) from error
+    console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+    return config, folder
+
+
+def _ended(stop: StopOnInterrupt, console: Console) -> int:
+    if stop.asked:
+        console.print("Stopped early by Ctrl-C: what was learned until then is in the run folder.")
+    return INTERRUPTED if stop.asked else 0
+
+
+def new_folder(config: Config) -> Path:
+    """The folder of a run that begins now.
+
+    Raises:
+        ConfigError: ``run.dir`` is in use.
+    """
+    if config.run.dir is None:
+        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}-k{config.env.robots}-s{config.seed}"
+        folder, count = Path("runs") / stem, 1
+        while folder.exists():
+            count += 1
+            folder = Path("runs") / f"{stem}-{count}"
+        return folder
+    check_unused(Path(config.run.dir))
+    return Path(config.run.dir)
+
+
+def check_unused(folder: Path) -> None:
+    """Checks that a folder is free for a run.
+
+    Raises:
+        ConfigError: it is in use.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Holds a run's folder, so that no second process goes on in it.
+
+    Raises:
+        ConfigError: another process holds it.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            say = "a folder in which no run is going on"
+            raise ConfigError.of([("run.dir", folder, say)]) from error
+        yield
+    finally:
+        os.close(handle)
+
+
+class StopOnInterrupt:
+    """Ctrl-C asks runs to end at their next aggregation; a second one ends them at once.
+
+    Args:
+        folders: the runs'.
+        console: where to say so.
+    """
+
+    def __init__(self, folders: Sequence[Path], console: Console) -> None:
+        self._files, self._console = [folder / STOP_FILE for folder in folders], console
+        self.asked = False
+
+    def __enter__(self) -> StopOnInterrupt:
+        """Takes Ctrl-C over."""
+        self._forget()  # those of runs that were killed
+        self._before = signal.signal(signal.SIGINT, self._on_interrupt)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Gives Ctrl-C back."""
+        signal.signal(signal.SIGINT, self._before)
+        self._forget()
+
+    def _forget(self) -> None:
+        for file in self._files:
+            file.unlink(missing_ok=True)
+
+    def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        for file in self._files:
+            file.touch()
+        self._console.print("Stopping at the next aggregation; Ctrl-C again stops at once.")
