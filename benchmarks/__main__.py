@@ -22,6 +22,7 @@ BENCHMARKS = {
     "worlds": "world_",
     "parts": "part_",
     "scaling": "steps_per_s_ updates_vs_",
+    "together": "together_",
     "central": "centralized_ branching_",
     "deployment": "link_share lockstep_ waiting_share",
     "runs": "rate_ simulation_ deployment_ flower_share evaluation_share weights_vs_",

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-import fcntl
-import os
 import signal
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,6 +17,7 @@ from env.plugins import PluginError
 from experiments import local, on_flower, together
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
+from experiments.folders import alone, clear, placed
 from server_app.checkpoint import Checkpoint
 from server_app.session import STOP_FILE
 
@@ -55,12 +51,11 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
         0, or 130 if Ctrl-C ended the run early.
     """
     console = Console()
-    config, folder = _placed(config, folder, console)
-    with _alone(folder):
+    config, folder = _shown(config, folder, console)
+    with alone(folder):
         if resumed is not None:
             console.print(f"going on from window {resumed.window}", highlight=False)
-            for stale in ("progress.json", "summary.json"):
-                (folder / stale).unlink(missing_ok=True)
+            clear(folder)
         with StopOnInterrupt([folder], console) as stop, Display([folder], console):
             summary = RUNTIMES[config.runtime.name](config, folder, resumed)
     if summary:
@@ -73,21 +68,20 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
 def train_together(runs: Sequence[tuple[Config, Path]]) -> int:
     """Trains runs side by side in this process and shows them; one that fails says why.
 
+    They follow one another where they have nothing to share.
+
     Args:
         runs: checked configurations that differ in nothing but their seeds, and new folders.
 
     Returns:
         0, 1 if a run failed, or 130 if Ctrl-C ended them early.
     """
+    if len(runs) == 1 or not together.can_share(runs[0][0]):
+        return _one_by_one(runs)
     console = Console()
-    placed = [_placed(config, folder, console) for config, folder in runs]
-    folders = [folder for _, folder in placed]
-    with ExitStack() as held:
-        for folder in folders:
-            held.enter_context(_alone(folder))
-        stop = held.enter_context(StopOnInterrupt(folders, console))
-        held.enter_context(Display(folders, console))
-        endings = together.train(placed)
+    configs, folders = zip(*(_shown(*run, console) for run in runs), strict=True)
+    with StopOnInterrupt(folders, console) as stop, Display(folders, console):
+        endings = together.train(configs, folders)
     status = 0
     for ending, folder in zip(endings, folders, strict=True):
         if not isinstance(ending, Exception):
@@ -99,19 +93,24 @@ def train_together(runs: Sequence[tuple[Config, Path]]) -> int:
     return _ended(stop, console) or status
 
 
-def _placed(config: Config, folder: Path, console: Console) -> tuple[Config, Path]:
-    """A configuration that says where its run is, and the folder, which is made and named.
+def _one_by_one(runs: Sequence[tuple[Config, Path]]) -> int:
+    """The same, one after the other."""
+    statuses = [0]
+    for run in runs:
+        try:
+            status = train(*run)
+        except ERRORS as error:
+            say(error)
+            status = 1
+        if status == INTERRUPTED:
+            return status
+        statuses.append(status)
+    return max(statuses)
 
-    Raises:
-        ConfigError: it cannot be made.
-    """
-    folder = folder.absolute()
-    config = dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder)))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        allowed = f"a folder that can be made ({error.strerror})"
-        raise ConfigError.of([("run.dir", folder, allowed)]) from error
+
+def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, Path]:
+    """See ``placed``; says where the run is."""
+    config, folder = placed(config, folder)
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
     return config, folder
 
@@ -120,52 +119,6 @@ def _ended(stop: StopOnInterrupt, console: Console) -> int:
     if stop.asked:
         console.print("Stopped early by Ctrl-C: what was learned until then is in the run folder.")
     return INTERRUPTED if stop.asked else 0
-
-
-def new_folder(config: Config) -> Path:
-    """The folder of a run that begins now.
-
-    Raises:
-        ConfigError: ``run.dir`` is in use.
-    """
-    if config.run.dir is None:
-        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}-k{config.env.robots}-s{config.seed}"
-        folder, count = Path("runs") / stem, 1
-        while folder.exists():
-            count += 1
-            folder = Path("runs") / f"{stem}-{count}"
-        return folder
-    check_unused(Path(config.run.dir))
-    return Path(config.run.dir)
-
-
-def check_unused(folder: Path) -> None:
-    """Checks that a folder is free for a run.
-
-    Raises:
-        ConfigError: it is in use.
-    """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Holds a run's folder, so that no second process goes on in it.
-
-    Raises:
-        ConfigError: another process holds it.
-    """
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            say = "a folder in which no run is going on"
-            raise ConfigError.of([("run.dir", folder, say)]) from error
-        yield
-    finally:
-        os.close(handle)
 
 
 class StopOnInterrupt:

@@ -15,10 +15,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 
-from agent import AgentConfig, goes_together
 from conf import Config, ConfigError, from_composed, register_schema
 from conf.compose import FOLDER, check_overrides
-from experiments.runner import ERRORS, INTERRUPTED, check_unused, say, train, train_together
+from experiments.folders import check_unused
+from experiments.runner import ERRORS, INTERRUPTED, say, train, train_together
+from experiments.together import check_local
 from server_app.preflight import check, checked_training
 
 Combination = list[str]
@@ -40,7 +41,8 @@ def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
     every = _combinations(overrides)
     configs = [checked_training([*combination, *hydra_keys]) for combination in every]
     if together:
-        _check_together(configs)
+        for config in configs:
+            check_local(config)
     folder = next(
         (item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None
     )
@@ -56,8 +58,9 @@ def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
     seeds = [config.seed for config in configs]
 
     def train_group(config: Config, folder: Path, number: int) -> int:
-        runs = [(seeds[job], folder / str(job)) for job in groups[number]]
-        return train_together([(dataclasses.replace(config, seed=s), f) for s, f in runs])
+        jobs = groups[number]
+        runs = [(dataclasses.replace(config, seed=seeds[job]), folder / str(job)) for job in jobs]
+        return train_together(runs)
 
     firsts = [item if not item.startswith(SEED) else f"{SEED}{seeds[0]}" for item in rest]
     return _sweep(firsts, place, ".", train_group)
@@ -70,22 +73,6 @@ def _groups(every: Sequence[Combination]) -> list[list[int]]:
         rest = tuple(item for item in combination if not item.startswith(SEED))
         found.setdefault(rest, []).append(number)
     return list(found.values())
-
-
-def _check_together(configs: Sequence[Config]) -> None:
-    for config in configs:
-        if config.runtime.name != "local":
-            allowed = "local with --together: its runs share one process"
-            raise ConfigError.of([("runtime", config.runtime.name, allowed)])
-        if not goes_together(config.agent):
-            raise ConfigError.of([_apart(config.agent)])
-
-
-def _apart(agent: AgentConfig) -> tuple[str, object, str]:
-    """What keeps agents out of a stack of several runs."""
-    if agent.priority.alpha:
-        return "agent.priority.alpha", agent.priority.alpha, "0 with --together"
-    return "agent.updates", agent.updates, "1 with --together"
 
 
 def _sweep(

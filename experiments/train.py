@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from conf import Config, ConfigError, to_yaml
-from experiments.runner import ERRORS, new_folder, say, train
+from experiments.folders import new_folder
+from experiments.runner import ERRORS, say, train
 from experiments.sweep import train_all
 from server_app import resume
 from server_app.preflight import check_address, checked, checked_training

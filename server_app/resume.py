@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from agent import CheckpointError
-from conf import Config, ConfigError, compose, fingerprint, overridden, robots_learn
+from conf import Config, ConfigError, compose, fingerprint, overridden, robots_learn, to_yaml
 from conf.places import STATE
 from server_app.checkpoint import Checkpoint, latest
 from server_app.preflight import check, checked_yaml
@@ -17,6 +19,10 @@ from server_app.recorder import check_files
 PREFIX = "resume="
 MAY_CHANGE = ("train.episodes", "train.max_ticks")
 """What a resume may set: when the run ends. All else would make it another run."""
+FINAL = {"summary.json", "weights.safetensors"}
+"""What a run that has ended leaves behind."""
+BEFORE_THE_START = {"progress.json", "stop"}
+"""What a run may leave behind that did not get to its configuration."""
 
 
 def new_id() -> str:
@@ -53,19 +59,88 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
             )
     config = _config(folder, rest)
     try:
-        elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
-        kept = robots_learn(config) and not elsewhere
-        checkpoint = latest(folder / STATE, config.env.robots if kept else 0)
-        check_files(folder, checkpoint.meta["marks"])
+        checkpoint = _checkpoint(folder, config)
     except CheckpointError as error:
         raise ConfigError(f"resume={folder}: {error}.") from error
+    _check_unfinished(folder, config, checkpoint)
+    return config, checkpoint
+
+
+def standing(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None:
+    """How far a run has come that is wanted whole.
+
+    Args:
+        config: the run's configuration. ``train.episodes`` and ``train.max_ticks`` may differ from
+            those in the folder, where the run began.
+        folder: its folder, there or not.
+
+    Returns:
+        What ``summary.json`` holds if it has ended; otherwise its newest whole checkpoint; None
+        if it has neither and begins.
+
+    Raises:
+        ConfigError: the folder holds something else, or a checkpoint of another version.
+    """
+    held = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    if held <= BEFORE_THE_START:
+        return None
+    own = _config(folder, []) if "config.yaml" in held else None
+    if own is None or _written(own) != _written(config):
+        raise ConfigError.of([("run.dir", folder, "a folder that is new, empty or of this run")])
+    found: dict[str, Any] | Checkpoint | None = _ended(config, folder) if held >= FINAL else None
+    over = found is not None
+    if found is None:
+        try:
+            checkpoint = _checkpoint(folder, config)
+        except CheckpointError:
+            return None
+        found, over = checkpoint, _is_over(config, *_counts(checkpoint))
+    if over and own.train != config.train:
+        raise ConfigError.of([("run.dir", folder, "a folder whose run has not gone beyond this")])
+    return found
+
+
+def _ended(config: Config, folder: Path) -> dict[str, Any] | None:
+    """What ``summary.json`` holds if the run has come to its end."""
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
+
+
+def _written(config: Config) -> str:
+    """A configuration as text, without what may differ from one part of a run to the next."""
+    run = dataclasses.replace(config.run, dir=None, id=None)
+    train = dataclasses.replace(config.train, episodes=1, max_ticks=None)
+    return to_yaml(dataclasses.replace(config, run=run, train=train))
+
+
+def _checkpoint(folder: Path, config: Config) -> Checkpoint:
+    """The newest whole checkpoint of a run.
+
+    Raises:
+        CheckpointError: there is none.
+        ConfigError: it is another version's.
+    """
+    elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
+    kept = robots_learn(config) and not elsewhere
+    checkpoint = latest(folder / STATE, config.env.robots if kept else 0)
+    check_files(folder, checkpoint.meta["marks"])
     if checkpoint.meta["fingerprint"] != fingerprint(config.env):
         raise ConfigError(
             f"resume={folder}: allowed is a run of this version of RISFleet, torch and plug-ins on"
             " this type of CPU: with another it would not end in the same weights."
         )
-    _check_unfinished(folder, config, checkpoint)
-    return config, checkpoint
+    return checkpoint
+
+
+def _counts(checkpoint: Checkpoint) -> tuple[int, int]:
+    """Episodes that have ended, and ticks."""
+    tick, _, episodes = (int(count) for count in checkpoint.arrays["run/progress"])
+    return episodes, tick
+
+
+def _is_over(config: Config, episodes: int, ticks: int) -> bool:
+    most = config.train.max_ticks
+    return episodes >= config.train.episodes or (most is not None and ticks >= most)
 
 
 def _folder(overrides: Sequence[str]) -> Path:
@@ -87,11 +162,10 @@ def _config(folder: Path, overrides: Sequence[str]) -> Config:
 
 
 def _check_unfinished(folder: Path, config: Config, checkpoint: Checkpoint) -> None:
-    tick, _, episodes = (int(count) for count in checkpoint.arrays["run/progress"])
-    most = config.train.max_ticks
-    if not all((folder / name).exists() for name in ("summary.json", "weights.safetensors")):
+    episodes, tick = _counts(checkpoint)
+    if not all((folder / name).exists() for name in FINAL):
         return  # it died after its last window: the rest is still to be written
-    if episodes >= config.train.episodes or (most is not None and tick >= most):
+    if _is_over(config, episodes, tick):
         raise ConfigError(
             f"{PREFIX}{folder}: the run has ended, with {episodes} episodes and {tick} ticks:"
             " allowed is one that has not, or a larger train.episodes or train.max_ticks."

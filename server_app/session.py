@@ -316,12 +316,13 @@ def save_weights(path: Path, robots: NDArray[np.float32], ap: NDArray[np.float32
 
 def to_json(values: dict[str, Any]) -> str:
     """Values as strict JSON: what is not a finite number becomes null."""
-    return json.dumps(_finite(values), indent=2) + "\n"
+    return json.dumps(finite(values), indent=2) + "\n"
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Values as JSON has them: what is not a finite number becomes None."""
     if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
+        return {key: finite(inner) for key, inner in value.items()}
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

@@ -15,7 +15,7 @@ from client_app.robots import RobotGroup
 from conf.places import robot_folder, server_folder
 
 
-@pytest.mark.parametrize("name", ["engine", "worlds", "parts", "scaling", "central"])
+@pytest.mark.parametrize("name", ["engine", "worlds", "parts", "scaling", "together", "central"])
 def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):
     path = tmp_path / "bench.json"
     assert main(["--quick", "--only", name, "--json", str(path)]) == 0

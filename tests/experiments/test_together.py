@@ -17,6 +17,7 @@ from conf import Config
 from env.link import RobotFailed
 from experiments import local, together
 from experiments.cli import main
+from experiments.folders import alone
 from experiments.together import Meter
 from server_app import coordinator, session
 
@@ -34,6 +35,16 @@ CONFIGURATIONS: dict[str, dict[str, Any]] = {
         "agent.double": True,
         "agent.target.tau": 0.05,
     },
+    "server Adam": {
+        "strategy.name": "fedadam",
+        "strategy.server_rate": 0.003,
+        "strategy.tau": 0.001,
+    },
+    "median": {"strategy.name": "fedmedian"},
+    "Krum": {"strategy.name": "krum", "strategy.malicious": 0},
+    "a random phase": {"scheme.phase": "random"},
+    "the best phase": {"scheme.phase": "oracle"},
+    "OMA": {"env.access": "oma"},
     "an AP that looks ahead": {"agent.discount.ap": 0.9},
     "a channel that fades": {"env.channel.fading": "slot"},
     "destinations of their own": {"env.tasks.destination": "random"},
@@ -54,6 +65,10 @@ def runs(tiny: Changed, tmp_path: Path) -> Callable[..., list[tuple[Config, Path
         ]
 
     return make
+
+
+def train(runs: Sequence[tuple[Config, Path]], *, missing: bool = False) -> list[Any]:
+    return together.train(*zip(*runs, strict=True), missing=missing)
 
 
 def summary(folder: Path) -> dict[str, Any]:
@@ -83,7 +98,7 @@ def assert_same(found: Path, expected: Path) -> None:
 def test_together_and_one_by_one_leave_the_same_behind(runs: Any, changes: dict[str, Any]) -> None:
     seeds = (3, 4, 7)
     side_by_side, alone = runs("together", seeds, changes), runs("alone", seeds, changes)
-    endings = together.train(side_by_side)
+    endings = train(side_by_side)
     for ending, (_, folder), (config, own) in zip(endings, side_by_side, alone, strict=True):
         assert ending["digest"] == local.train(config, own)["digest"]
         assert_same(folder, own)
@@ -96,7 +111,7 @@ def test_each_run_ends_when_its_own_end_has_come(runs: Any) -> None:
     changes = {"train.episodes": 7, "train.max_ticks": None}
     seeds = (0, 1, 2, 3)
     side_by_side, alone = runs("together", seeds, changes), runs("alone", seeds, changes)
-    together.train(side_by_side)
+    train(side_by_side)
     for (config, own), (_, folder) in zip(alone, side_by_side, strict=True):
         local.train(config, own)
         assert_same(folder, own)
@@ -107,8 +122,8 @@ def test_each_run_goes_on_by_itself_to_the_bits_of_a_whole_one(runs: Any) -> Non
     keep = {"state.every": 3, "strategy.name": "fedavgm", "strategy.momentum": 0.5}
     short = runs("short", (0, 1), {**keep, "train.max_ticks": 60})
     whole = runs("whole", (0, 1), {**keep, "train.max_ticks": 120})
-    together.train(short)
-    together.train(whole)
+    train(short)
+    train(whole)
     for (_, folder), (_, expected) in zip(short, whole, strict=True):
         assert main(["train", f"resume={folder}", "train.max_ticks=120"]) == 0
         assert summary(folder)["digest"] == summary(expected)["digest"]
@@ -125,10 +140,10 @@ def test_a_run_that_fails_leaves_the_others_to_their_bits(
             raise OSError(28, "No space left on device")
         save(writer, state, *rest)
 
-    expected = [ending["digest"] for ending in together.train(runs("whole", (0, 1, 2)))]
+    expected = [ending["digest"] for ending in train(runs("whole", (0, 1, 2)))]
     monkeypatch.setattr(session, "save_server", full)
     broken = runs("broken", (0, 1, 2), {"state.every": 4})
-    first, second, third = together.train(broken)
+    first, second, third = train(broken)
     assert [first["digest"], third["digest"]] == [expected[0], expected[2]]
     assert isinstance(second, OSError)
     told = json.loads((broken[1][1] / "progress.json").read_text())
@@ -138,11 +153,119 @@ def test_a_run_that_fails_leaves_the_others_to_their_bits(
     )
 
 
+CENTRAL = {"strategy.name": "none", "env.robots": 2}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"scheme.agents": "branching", **CENTRAL},
+        {"scheme.agents": "centralized", **CENTRAL},
+        {"agent.updates": 2},
+        {"agent.priority.alpha": 0.6},
+    ],
+    ids=["branching", "centralized", "several updates", "priorities"],
+)
+def test_agents_that_have_no_stack_are_trained_one_by_one(
+    runs: Any, changes: dict[str, Any]
+) -> None:
+    ours, alone = runs("together", (3, 4), changes), runs("alone", (3, 4), changes)
+    for ending, (_, folder), (config, own) in zip(train(ours), ours, alone, strict=True):
+        assert ending["digest"] == local.train(config, own)["digest"]
+        assert_same(folder, own)
+        assert summary(folder)["runs_together"] == 1
+
+
+def test_other_values_may_share_a_stack_where_networks_are_alike(runs: Any) -> None:
+    values = ({"env.power.max_dbm": 10.0}, {"env.access": "oma"}, {"strategy.name": "none"})
+    ours = [runs(f"together {at}", (1,), change)[0] for at, change in enumerate(values)]
+    alone = [runs(f"alone {at}", (1,), change)[0] for at, change in enumerate(values)]
+    for ending, (config, own) in zip(train(ours), alone, strict=True):
+        assert ending["digest"] == local.train(config, own)["digest"]
+        assert ending["runs_together"] == 3
+
+
 def test_agents_that_differ_are_refused_by_the_stack(runs: Any) -> None:
     (first,), (second,) = runs("a", (0,)), runs("b", (1,), {"agent.hidden": [9]})
-    ending, refused = together.train([first, second])
+    ending, refused = train([first, second])
     assert isinstance(ending, dict)
     assert "agents that differ cannot share a stack" in str(refused)
+
+
+# --- What is missing ------------------------------------------------------------------------------
+
+
+def test_only_what_is_missing_is_trained_and_to_the_same_bits(
+    runs: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep, seeds = {"state.every": 3}, (0, 1, 2, 3)
+    whole, parts = runs("whole", seeds, keep), runs("parts", seeds, keep)
+    train(whole)
+    train(parts[:1])
+    ended = parts[0][1] / "summary.json"
+    written = ended.stat().st_mtime_ns
+    begin = coordinator.Coordinator.turns
+
+    def dying(self: Any, *given: Any) -> Any:
+        turns = begin(self, *given)
+        for _ in range({1: 80, 2: 15}[self._config.seed]):  # after and before a first checkpoint
+            yield next(turns)
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(coordinator.Coordinator, "turns", dying)
+        assert [type(ending) for ending in train(parts[1:3])] == [OSError, OSError]
+    endings = train(parts, missing=True)
+    assert ended.stat().st_mtime_ns == written
+    for ending, (_, folder), (_, expected) in zip(endings, parts, whole, strict=True):
+        assert ending == summary(folder)
+        assert summary(folder)["digest"] == summary(expected)["digest"]
+        assert rows(folder / "metrics.csv") == rows(expected / "metrics.csv")
+        assert json.loads((folder / "progress.json").read_text())["state"] == "done"
+    assert [ending["runs_together"] for ending in endings] == [1, 3, 3, 3]
+
+
+def test_a_longer_run_is_missing_and_a_run_that_went_further_is_not_taken_for_it(
+    runs: Any,
+) -> None:
+    keep = {"state.every": 3}
+    short = runs("runs", (0,), {**keep, "train.max_ticks": 60})
+    long = runs("runs", (0,), {**keep, "train.max_ticks": 120})
+    (expected,) = train(runs("whole", (0,), {**keep, "train.max_ticks": 120}))
+    train(short)
+    (found,) = train(long, missing=True)
+    assert found["digest"] == expected["digest"]
+    (refused,) = train(short, missing=True)
+    assert str(refused).endswith("allowed is a folder whose run has not gone beyond this.")
+
+
+def test_without_checkpoints_an_ended_run_is_left_and_another_begins_again(runs: Any) -> None:
+    keep = {"state.every": None}
+    given = runs("runs", (0, 1), keep)
+    expected = [ending["digest"] for ending in train(given)]
+    (given[1][1] / "weights.safetensors").unlink()
+    assert [ending["digest"] for ending in train(given, missing=True)] == expected
+    assert [summary(folder)["runs_together"] for _, folder in given] == [2, 1]
+
+
+def test_a_folder_of_another_run_or_of_a_running_one_is_left_as_it_is(runs: Any) -> None:
+    given = [
+        *runs("runs", (0, 1, 2, 3)),
+        *runs("elsewhere", (4,), {"runtime.name": "simulation"}),
+    ]
+    train(runs("runs", (0,), {"agent.learning_rate": 0.02}))
+    given[1][1].mkdir(parents=True)
+    (given[1][1] / "notes.txt").write_text("mine")
+    before = (given[0][1] / "summary.json").read_bytes()
+    given[2][1].mkdir(parents=True)
+    with alone(given[2][1]):
+        *refused, done, elsewhere = train(given, missing=True)
+    assert ["new, empty or of this run" in str(error) for error in refused] == [True, True, False]
+    assert "runtime=simulation: allowed is local" in str(elsewhere)
+    assert "a folder in which no run is going on" in str(refused[2])
+    assert [path.name for path in given[1][1].iterdir()] == ["notes.txt"]
+    assert (given[0][1] / "summary.json").read_bytes() == before
+    assert done["seed"] == 3
 
 
 # --- The command ----------------------------------------------------------------------------------
@@ -175,6 +298,18 @@ def test_the_command_leaves_the_folders_of_a_plain_sweep(
         (3, "none"), (3, "fedavg"), (4, "none"), (4, "fedavg"),
     ]  # fmt: skip
     assert [run["runs_together"] for run in found] == [2, 2, 2, 2]
+
+
+def test_a_sweep_of_one_agent_for_everything_is_run_one_by_one(
+    command: Callable[..., int], tmp_path: Path
+) -> None:
+    sweep = ("-m", "seed=3,4", "baseline=branching,none", "env.robots=2")
+    assert command(*sweep, "--together", "run.dir=together") == 0
+    assert command(*sweep, "run.dir=plain") == 0
+    for job in ("0", "1", "2", "3"):
+        assert_same(tmp_path / "together" / job, tmp_path / "plain" / job)
+    found = [summary(tmp_path / "together" / job) for job in ("0", "1", "2", "3")]
+    assert [run["runs_together"] for run in found] == [1, 2, 1, 2]
 
 
 @pytest.mark.parametrize(
@@ -233,7 +368,7 @@ def test_a_second_ctrl_c_ends_all_of_them_at_once(
     monkeypatch.setattr(coordinator.Coordinator, "turns", interrupted)
     going = runs("going", (0, 1, 2))
     with pytest.raises(KeyboardInterrupt):
-        together.train(going)
+        train(going)
     for _, folder in going:
         assert json.loads((folder / "progress.json").read_text())["state"] == "failed"
         assert not (folder / "summary.json").exists()
@@ -259,7 +394,7 @@ def test_a_robot_that_breaks_ends_its_own_run_alone(
 
     monkeypatch.setattr(RobotGroup, "__init__", marked)
     monkeypatch.setattr(RobotGroup, "step", failing)
-    endings = together.train(runs("going", (0, 1)))
+    endings = train(runs("going", (0, 1)))
     assert isinstance(endings[0], dict)
     assert isinstance(endings[1], RobotFailed)
 

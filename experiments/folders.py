@@ -1,0 +1,84 @@
+"""Run folders: new ones, ones that are held, and what a run that goes on leaves out of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import fcntl
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from conf import Config, ConfigError
+
+
+def new_folder(config: Config) -> Path:
+    """The folder of a run that begins now.
+
+    Raises:
+        ConfigError: ``run.dir`` is in use.
+    """
+    if config.run.dir is None:
+        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}-k{config.env.robots}-s{config.seed}"
+        folder, count = Path("runs") / stem, 1
+        while folder.exists():
+            count += 1
+            folder = Path("runs") / f"{stem}-{count}"
+        return folder
+    check_unused(Path(config.run.dir))
+    return Path(config.run.dir)
+
+
+def check_unused(folder: Path) -> None:
+    """Checks that a folder is free for a run.
+
+    Raises:
+        ConfigError: it is in use.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
+
+
+def placed(config: Config, folder: Path) -> tuple[Config, Path]:
+    """A configuration that says where its run is, and the folder, absolute, which is made.
+
+    Raises:
+        ConfigError: it cannot be made.
+    """
+    folder = folder.absolute()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        allowed = f"a folder that can be made ({error.strerror})"
+        raise ConfigError.of([("run.dir", folder, allowed)]) from error
+    run = dataclasses.replace(config.run, dir=str(folder))
+    return dataclasses.replace(config, run=run), folder
+
+
+def clear(folder: Path, *, whole: bool = False) -> None:
+    """Removes what a run that goes on says anew, and of one that begins again its events, too."""
+    for stale in ("progress.json", "summary.json"):
+        (folder / stale).unlink(missing_ok=True)
+    if whole:
+        shutil.rmtree(folder / "tensorboard", ignore_errors=True)
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Holds a run's folder, so that no second process goes on in it.
+
+    Raises:
+        ConfigError: another process holds it.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            say = "a folder in which no run is going on"
+            raise ConfigError.of([("run.dir", folder, say)]) from error
+        yield
+    finally:
+        os.close(handle)
