@@ -28,8 +28,8 @@ SPAN = 2
 """Checkpoints in a block; half as many windows as lie between two follow the last one."""
 
 CHECKPOINT_HOW = (
-    "{} of joint steps with state.every=20 over those without checkpoints, less 1: 3 robots and AP"
-    " in one process, replays of 50,000 full, blocks of 40 windows in turn"
+    "{} of joint steps with state.every=50 over those without checkpoints, less 1: 3 robots and AP"
+    " in one process, replays of 50,000 full, blocks of 100 windows in turn"
 )
 TLS_HOW = (
     "wall time of a step and its answer with TLS 1.3 less that without: one client process on"

@@ -78,7 +78,7 @@ class FederationConfig:
 class StateConfig:
     """Checkpoints, from which a run that died goes on."""
 
-    every: int | None = 20  # windows between two; None writes none
+    every: int | None = 50  # windows between two; None writes none
 
 
 @dataclass(frozen=True)
