@@ -3,8 +3,11 @@
 | module | holds |
 |---|---|
 | `config` | the configuration's schema and checks |
+| `dueling` | value and advantages joined, and the way back |
 | `network` | the flat layout of a network, first weights, the forward used to act |
 | `replay` | transitions as packed rows in a ring |
+| `priority` | the same, drawn by how much they surprise |
+| `returns` | transitions of several slots stored as one |
 | `exploration` | the epsilon schedule and random choices |
 | `losses` | TD targets and the Huber loss |
 | `interface` | what agents ask of a learner |
@@ -23,14 +26,21 @@ Nothing here knows of the environment or of Flower, and no global random state i
 """
 
 from agent.branching import BranchingDQN
-from agent.config import AgentConfig, DiscountConfig, EpsilonConfig, TargetConfig, problems
+from agent.config import (
+    AgentConfig,
+    DiscountConfig,
+    EpsilonConfig,
+    PriorityConfig,
+    TargetConfig,
+    problems,
+)
 from agent.dqn import DQN
 from agent.exploration import NO_ACTION, epsilon_at
 from agent.heads import Heads
 from agent.interface import MakeLearner
 from agent.learner import Learner
 from agent.network import NetworkShape, q_values
-from agent.seats import Stack
+from agent.seats import Stack, goes_together
 from agent.storage import (
     CheckpointError,
     Writer,
@@ -54,6 +64,7 @@ __all__ = [
     "Learner",
     "MakeLearner",
     "NetworkShape",
+    "PriorityConfig",
     "Stack",
     "TargetConfig",
     "Writer",
@@ -61,6 +72,7 @@ __all__ = [
     "digest",
     "epsilon_at",
     "generator_state",
+    "goes_together",
     "load_checkpoint",
     "problems",
     "q_values",

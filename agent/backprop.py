@@ -18,10 +18,12 @@ from functools import partial
 import numpy as np
 import torch
 
-from agent.buffers import Scratch
+from agent.buffers import Scratch, aligned_zeros
 from agent.config import AgentConfig
+from agent.dueling import action_values, streams_slope
 from agent.losses import double_dqn_values, dqn_values, huber, td_target
 from agent.network import FloatArray, NetworkShape
+from agent.priority import Weighing
 from agent.replay import RowLayout
 
 _TORCH_FROM = 1 << 20  # multiply-adds of a product that torch does sooner than NumPy ...
@@ -56,13 +58,17 @@ class Forward:
         self.inputs: FloatArray = self.activations[0][:, :, :-1].numpy()
         self.q: FloatArray = q.numpy()
         self._steps: list[Step] = []
-        outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), q]
+        last = aligned_zeros(*q.shape[:2], q.shape[2] + 1, q.shape[3]) if shape.dueling else q
+        outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), last]
         for matrix, activation, output in zip(
             shape.matrices(weights), self.activations, outputs, strict=True
         ):
             self._steps.append(_product(matrix.mT, activation, output, _TORCH_FROM))
-            if output is not q:
+            if output is not last:
                 self._steps.append(partial(torch.relu_, output))
+        if shape.dueling:
+            streams = last.numpy()
+            self._steps.append(lambda: np.copyto(self.q, action_values(streams, axis=2)))
 
     def run(self) -> None:
         """Computes `q` from `inputs`."""
@@ -98,6 +104,9 @@ class Backward:
         weights, gradients = shape.matrices(online), shape.matrices(gradient)
         self.slope: FloatArray = slopes[-1].numpy()
         self._steps: list[Step] = []
+        if shape.dueling:
+            self.slope = aligned_zeros(len(online), shape.actions, slopes[-1].shape[-1]).numpy()
+            self._steps.append(partial(streams_slope, self.slope, slopes[-1].numpy()))
         for depth in reversed(range(len(slopes))):
             read, slope = activations[depth][:, 0], slopes[depth]
             self._steps.append(_product(read, slope.mT, gradients[depth], _TORCH_GRADIENT_FROM))
@@ -124,6 +133,7 @@ class Span:
         gradient: torch.Tensor,
         batch: FloatArray,
         scratch: Scratch,
+        weighing: Weighing | None = None,
     ) -> None:
         """Plans a gradient step.
 
@@ -135,11 +145,13 @@ class Span:
             gradient: where the online networks' gradient goes, shape (n, P).
             batch: where their sampled transitions will stand, shape (n, B, row width).
             scratch: buffers for at least n agents.
+            weighing: what each sample weighs, and where its error goes; None: all weigh 1.
         """
         agents, size = batch.shape[:2]
         passes = 2 if discount else 1
         self._config, self._discount = config, discount
         self._layout, self._batch, self._size = RowLayout(shape.inputs), batch, size
+        self._weighing = weighing
         states = batch[:, :, : passes * shape.inputs]
         self._states = states.reshape(agents, size, passes, shape.inputs).transpose(0, 2, 3, 1)
         self._forward = Forward(shape, weights[:, :passes], scratch.layers)
@@ -164,6 +176,8 @@ class Span:
         error = self._flat_q.take(action + self._q_at)
         error -= self._targets()
         losses, slope = huber(error, self._config.huber_delta)
+        if self._weighing is not None:
+            self._weighing.weigh(error, losses, slope)
         slope *= 1 / self._size
         self._flat_slope.fill(0)
         self._flat_slope[action + self._slope_at] = slope

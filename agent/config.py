@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 Problem = tuple[str, object, str]
 
 WIDEST_LAYER = 4096
+MOST_UPDATES = 100
+LONGEST_RETURN = 100
 MOST_TRANSITIONS = 10_000_000
 
 
@@ -46,18 +48,36 @@ class EpsilonConfig:
 
 
 @dataclass(frozen=True)
+class PriorityConfig:
+    """Which transitions are replayed more often than others; an ``alpha`` of 0 draws them evenly.
+
+    ``alpha`` is how far the error of a transition decides how often it is drawn, ``beta`` how far
+    its weight in the loss makes up for that.
+    """
+
+    alpha: float = 0.0
+    beta: float = 0.4
+
+
+@dataclass(frozen=True)
 class AgentConfig:
     """A DQN agent: its network, its replay and how it learns."""
 
     hidden: list[int] = field(default_factory=lambda: [64, 64])
+    dueling: bool = False
     learning_rate: float = 1e-4
+    learning_rate_end: float | None = None
+    learning_rate_updates: int = 20_000
     batch_size: int = 128
     replay_size: int = 50_000
     learn_from: int = 128
+    updates: int = 1
+    n_step: int = 1
     double: bool = False
     huber_delta: float = 0.1
     reward_scale: float = 0.1
     discount: DiscountConfig = field(default_factory=DiscountConfig)
+    priority: PriorityConfig = field(default_factory=PriorityConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     epsilon: EpsilonConfig = field(default_factory=EpsilonConfig)
 
@@ -71,7 +91,8 @@ def problems(config: AgentConfig) -> list[Problem]:
     Returns:
         One (key, value, sentence saying what is allowed) for each bad value or combination.
     """
-    return [*_network(config), *_learning(config), *_replay(config), *_schedules(config)]
+    checks = (_network, _learning, _replay, _priority, _schedules)
+    return [problem for check in checks for problem in check(config)]
 
 
 def _network(config: AgentConfig) -> Iterator[Problem]:
@@ -87,6 +108,16 @@ def _network(config: AgentConfig) -> Iterator[Problem]:
 def _learning(config: AgentConfig) -> Iterator[Problem]:
     if config.learning_rate > 1:
         yield "agent.learning_rate", config.learning_rate, "at most 1"
+    end, falls = config.learning_rate_end, config.learning_rate_updates
+    if end is not None and not 0 <= end <= config.learning_rate:
+        allowed = f"null, or from 0 to agent.learning_rate={config.learning_rate}"
+        yield "agent.learning_rate_end", end, allowed
+    if not _is_integer(falls) or falls < 1:
+        yield "agent.learning_rate_updates", falls, "a whole number of at least 1"
+    if not _is_integer(config.updates) or not 1 <= config.updates <= MOST_UPDATES:
+        yield "agent.updates", config.updates, f"a whole number from 1 to {MOST_UPDATES}"
+    if not _is_integer(config.n_step) or not 1 <= config.n_step <= LONGEST_RETURN:
+        yield "agent.n_step", config.n_step, f"a whole number from 1 to {LONGEST_RETURN}"
     for key in ("learning_rate", "huber_delta", "reward_scale"):
         value = getattr(config, key)
         if not (math.isfinite(value) and value > 0):
@@ -108,6 +139,13 @@ def _replay(config: AgentConfig) -> Iterator[Problem]:
         value = getattr(config, key)
         if value > config.replay_size:
             yield f"agent.{key}", value, f"at most agent.replay_size={config.replay_size}"
+
+
+def _priority(config: AgentConfig) -> Iterator[Problem]:
+    for key in ("alpha", "beta"):
+        value = getattr(config.priority, key)
+        if not 0 <= value <= 1:
+            yield f"agent.priority.{key}", value, "from 0 to 1"
 
 
 def _schedules(config: AgentConfig) -> Iterator[Problem]:

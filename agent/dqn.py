@@ -16,6 +16,7 @@ from agent.interface import MakeLearner
 from agent.learner import Learner
 from agent.network import FloatArray, NetworkShape
 from agent.replay import RowLayout
+from agent.returns import ReturnWindow
 from agent.stack import ReplayAgents
 
 
@@ -48,6 +49,10 @@ class DQN(ReplayAgents):
         learner = make_learner(shape, config, discount, len(generators), proximal_mu)
         super().__init__(shape, config, learner, generators)
         self._layout = RowLayout(shape.inputs)
+        if config.n_step > 1 and discount:  # without a discount nothing further is ahead
+            self._windows = [
+                ReturnWindow(self._layout, config.n_step, discount) for _ in self._generators
+            ]
 
     def act(
         self, observations: FloatArray, epsilon: float, active: NDArray[np.bool_]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agent.config import AgentConfig
 from agent.network import FloatArray, NetworkShape
+from agent.priority import Weighing
 
 
 class Learns(Protocol):
@@ -23,6 +24,7 @@ class Learns(Protocol):
     steps: FloatArray
     anchor: FloatArray
     batch: FloatArray
+    weighing: Weighing | None
 
     def update(self, learning: Sequence[bool]) -> FloatArray:
         """See `Learner.update`."""

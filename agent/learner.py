@@ -25,6 +25,7 @@ from agent.buffers import Scratch, aligned_zeros
 from agent.config import AgentConfig
 from agent.exploration import GREEDY
 from agent.network import FloatArray, NetworkShape, forward
+from agent.priority import Weighing
 from agent.replay import RowLayout
 
 _BETAS = (0.9, 0.999)
@@ -50,6 +51,7 @@ class Learner:
         steps: updates each agent has taken, shape (n,).
         anchor: the weights to which FedProx pulls, shape (n, P).
         batch: the sampled transitions' place, shape (n, B, row width).
+        weighing: what each of them weighs, and their errors; None without priorities.
     """
 
     def __init__(
@@ -85,6 +87,10 @@ class Learner:
         self.anchor: FloatArray = _rows(agents, 1, size)[:, 0].numpy()
         width = width or RowLayout(shape.inputs).width
         self.batch: FloatArray = aligned_zeros(agents, config.batch_size, width).numpy()
+        self.weighing: Weighing | None = None
+        if config.priority.alpha:
+            each = (aligned_zeros(agents, config.batch_size).numpy() for _ in range(2))
+            self.weighing = Weighing(*each)
         self._online = list(self._weights[:, 0])
         self._gradients = list(self._gradient[:, 0])
         self._first, self._second = list(self._moments[:, 0]), list(self._moments[:, 1])
@@ -113,7 +119,7 @@ class Learner:
                 pull = self.weights[start:stop, 0] - self.anchor[start:stop]
                 pull *= self._mu
                 self.gradient[start:stop] += pull
-            self._adam(start, stop)
+            self._descend(start, stop)
             if self._config.target.tau is not None:
                 self._follow(start, stop, self._config.target.tau)
         return losses
@@ -131,7 +137,7 @@ class Learner:
         """
         greedy = choices == GREEDY
         if greedy.any():
-            q = forward(self._layers, observations[:, None])
+            q = forward(self._layers, observations[:, None], self._shape.dueling)
             np.copyto(choices, q[:, 0].argmax(axis=1), where=greedy, casting="same_kind")
 
     def _new_span(self, start: int, stop: int) -> Gradients:
@@ -144,9 +150,19 @@ class Learner:
             self._gradient[part, 0],
             self.batch[part],
             self._scratch,
+            self.weighing and self.weighing.part(start, stop),
         )
 
-    def _adam(self, start: int, stop: int) -> None:
+    def _descend(self, start: int, stop: int) -> None:
+        """Moves the weights; with a schedule each agent's rate is that of its own updates."""
+        if self._config.learning_rate_end is None:
+            self._adam(start, stop, self._config.learning_rate)
+            return
+        for agent in range(start, stop):
+            rate = learning_rate_at(self._config, int(self.steps[agent]))
+            self._adam(agent, agent + 1, rate)
+
+    def _adam(self, start: int, stop: int, rate: float) -> None:
         """Adam, Kingma and Ba, ICLR 2015, with torch's defaults.
 
         The functional form that `torch.optim.Adam(fused=True)` ends in, without its 30 us.
@@ -159,7 +175,7 @@ class Learner:
             self._second[start:stop],
             [],
             self._step_counts[start:stop],
-            lr=self._config.learning_rate,
+            lr=rate,
             beta1=_BETAS[0],
             beta2=_BETAS[1],
             weight_decay=0.0,
@@ -174,6 +190,22 @@ class Learner:
         gap = online - target
         gap *= tau
         target += gap
+
+
+def learning_rate_at(config: AgentConfig, updates: int) -> float:
+    """The learning rate, falling linearly and then constant, or constant from the first.
+
+    Args:
+        config: how an agent learns.
+        updates: that it has taken.
+
+    Returns:
+        Alpha of its next update.
+    """
+    if config.learning_rate_end is None:
+        return config.learning_rate
+    share = min(updates / config.learning_rate_updates, 1.0)
+    return config.learning_rate + share * (config.learning_rate_end - config.learning_rate)
 
 
 def neighbours(chosen: Sequence[bool], most: int) -> Iterator[tuple[int, int]]:

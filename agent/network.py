@@ -16,22 +16,29 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from agent.dueling import action_values
+
 FloatArray = NDArray[np.float32]
 Rows = TypeVar("Rows", FloatArray, torch.Tensor)
 
 
 @dataclass(frozen=True)
 class NetworkShape:
-    """Sizes of a multilayer perceptron with ReLU between its layers."""
+    """Sizes of a multilayer perceptron with ReLU between its layers.
+
+    With ``dueling`` the last layer has one output more, the value of the state, and what it says
+    of an action is that action's advantage (see `agent.dueling`).
+    """
 
     inputs: int
     hidden: tuple[int, ...]
     actions: int
+    dueling: bool = False
 
     @property
     def layers(self) -> list[tuple[int, int]]:
         """(inputs, outputs) of each layer, first to last."""
-        return list(pairwise((self.inputs, *self.hidden, self.actions)))
+        return list(pairwise((self.inputs, *self.hidden, self.actions + self.dueling)))
 
     @property
     def parameters(self) -> int:
@@ -97,17 +104,18 @@ def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray)
     Returns:
         Q(s, a), shape (n, B, actions).
     """
-    return forward(shape.views(weights), observations)
+    return forward(shape.views(weights), observations, shape.dueling)
 
 
 def forward(
-    layers: Sequence[tuple[FloatArray, FloatArray]], observations: FloatArray
+    layers: Sequence[tuple[FloatArray, FloatArray]], observations: FloatArray, dueling: bool = False
 ) -> FloatArray:
     """The same as `q_values`, on views that the caller has kept.
 
     Args:
         layers: what `NetworkShape.views` gave.
         observations: shape (n, B, inputs).
+        dueling: whether the last output is the value of the state.
 
     Returns:
         Q(s, a), shape (n, B, actions).
@@ -119,4 +127,4 @@ def forward(
         x += bias[:, None]
         if depth < last:
             np.maximum(x, 0, out=x)
-    return x
+    return action_values(x, axis=-1) if dueling else x

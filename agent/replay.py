@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -12,7 +14,8 @@ class RowLayout:
     """Where the fields of a transition lie in its row.
 
     A row is (observation, next observation, action, reward, terminal). Actions are exact in
-    float32 up to 2**24, terminal is 1 or 0.
+    float32 up to 2**24. Terminal is 1 or 0; over m slots at once (`agent.returns`) the value of
+    the next state counts discount^m in place of discount, and terminal is 1 - discount^(m - 1).
     """
 
     def __init__(self, inputs: int) -> None:
@@ -99,6 +102,16 @@ class Replay:
         places *= len(self)
         # "clip" spares a copy; no place can lie outside, as random() stays below 1.
         self._rows.take(places.astype(np.intp), axis=0, out=out, mode="clip")
+
+    def learned(self) -> None:
+        """Told that the batch drawn last was learned from: without priorities nothing changes."""
+
+    def marks(self) -> dict[str, NDArray[np.generic]]:
+        """What is known of the transitions besides their rows, by name: here nothing."""
+        return {}
+
+    def restore_marks(self, state: Mapping[str, NDArray[np.generic]]) -> None:
+        """Takes back what `marks` gave, once the rows are restored."""
 
     def rows(self) -> FloatArray:
         """A copy of the filled part in memory order, shape (len, width)."""

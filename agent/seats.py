@@ -20,6 +20,15 @@ from agent.learner import Learner
 from agent.network import FloatArray, NetworkShape
 
 
+def goes_together(config: AgentConfig) -> bool:
+    """Whether a stack of several runs can hold such agents.
+
+    Their gradient steps come after all runs' turns, so no draw may depend on one within a turn:
+    further updates after a transition would, and so would priorities.
+    """
+    return config.updates == 1 and not config.priority.alpha
+
+
 class Stack:
     """Agents of several runs, alike in number, network and learning.
 
@@ -93,7 +102,13 @@ class Stack:
         agents: int,
         proximal_mu: float,
     ) -> None:
-        """Makes the learner of all, when the first seat is taken."""
+        """Makes the learner of all, when the first seat is taken.
+
+        Raises:
+            ValueError: agents differ, or what they draw waits for a step that is put off.
+        """
+        if not goes_together(config):
+            raise ValueError("a stack takes one step at a time on transitions drawn before it")
         kind = (shape, config, discount, agents, proximal_mu)
         if self._kind is None:
             self._kind = kind
@@ -119,7 +134,7 @@ class Seat:
         self._stack, self._learner, self._rows = stack, learner, rows
         self.weights, self.moments = learner.weights[rows], learner.moments[rows]
         self.steps, self.anchor = learner.steps[rows], learner.anchor[rows]
-        self.batch = learner.batch[rows]
+        self.batch, self.weighing = learner.batch[rows], learner.weighing
         for array in (self.weights, self.moments, self.steps, self.anchor):
             array.fill(0)
 

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from agent.config import AgentConfig
 from agent.interface import Learns
 from agent.network import FloatArray, NetworkShape
+from agent.priority import PrioritisedReplay
 from agent.replay import Replay
+from agent.returns import ReturnWindow
 from agent.streams import generator_state, restore_generator
 
 State = dict[str, NDArray[np.generic]]
@@ -46,7 +48,8 @@ class ReplayAgents:
         self.shape, self._config, self._learner = shape, config, learner
         self._generators = list(generators)
         width = learner.batch.shape[-1]
-        self._replays = [Replay(config.replay_size, width) for _ in self._generators]
+        self._replays = [self._new_replay(agent, width) for agent in range(len(self))]
+        self._windows: list[ReturnWindow] = []
         self._rows: FloatArray = np.zeros((len(self), width), np.float32)
         self.online: FloatArray = learner.weights[:, 0]
         self.target: FloatArray = learner.weights[:, 1]
@@ -80,19 +83,44 @@ class ReplayAgents:
         Returns:
             Mean losses, nan where no update was made, shape (n,).
         """
-        flags = active.tolist()
-        learning = [False] * len(flags)
-        for agent, replay in enumerate(self._replays):
-            if flags[agent]:
-                replay.add(self._rows[agent])
-                if len(replay) >= self._config.learn_from:
-                    replay.sample(self._generators[agent], self._learner.batch[agent])
-                    learning[agent] = True
-        losses = self._learner.update(learning)
+        stored = [self._store(agent) if acts else 0 for agent, acts in enumerate(active.tolist())]
+        learning = [
+            acts and len(replay) >= self._config.learn_from
+            for acts, replay in zip(active.tolist(), self._replays, strict=True)
+        ]
+        losses = self._update(learning)
+        for _ in range(self._config.updates - 1):
+            losses += self._update(learning)
+        losses /= self._config.updates
         if self._config.target.tau is None:
             for agent, replay in enumerate(self._replays):
-                if flags[agent] and replay.added % self._config.target.every == 0:
+                if replay.added % self._config.target.every < stored[agent]:
                     self._learner.copy_to_target(agent)
+        return losses
+
+    def _new_replay(self, agent: int, width: int) -> Replay:
+        config, weighing = self._config, self._learner.weighing
+        if weighing is None:
+            return Replay(config.replay_size, width)
+        places = weighing.importance[agent], weighing.error[agent]
+        return PrioritisedReplay(config.replay_size, width, config.priority, *places)
+
+    def _store(self, agent: int) -> int:
+        """Stores an agent's row, or what its window has ready; returns how many were stored."""
+        row, replay = self._rows[agent], self._replays[agent]
+        ready = self._windows[agent].add(row) if self._windows else [row]
+        for each in ready:
+            replay.add(each)
+        return len(ready)
+
+    def _update(self, learning: Sequence[bool]) -> FloatArray:
+        """Lets agents take one gradient step each, on transitions drawn anew; mean losses."""
+        learners = [agent for agent, learns in enumerate(learning) if learns]
+        for agent in learners:
+            self._replays[agent].sample(self._generators[agent], self._learner.batch[agent])
+        losses = self._learner.update(learning)
+        for agent in learners:
+            self._replays[agent].learned()
         return losses
 
     def agent_state(self, agent: int) -> State:
@@ -105,7 +133,10 @@ class ReplayAgents:
             Copies, by name.
         """
         learner, replay = self._learner, self._replays[agent]
+        window = {"window": self._windows[agent].rows()} if self._windows else {}
         return {
+            **window,
+            **replay.marks(),
             "weights": learner.weights[agent].copy(),
             "moments": learner.moments[agent].copy(),
             "anchor": learner.anchor[agent].copy(),
@@ -133,6 +164,9 @@ class ReplayAgents:
                     f"{name} of shape {state[name].shape} do not fit this network: {place.shape}"
                 )
         self._replays[agent].restore(state["replay"], int(state["stored"][0]))
+        self._replays[agent].restore_marks(state)
+        if self._windows:
+            self._windows[agent].restore(state["window"])
         learner.weights[agent], learner.moments[agent] = state["weights"], state["moments"]
         learner.anchor[agent], learner.steps[agent] = state["anchor"], state["updates"][0]
         restore_generator(self._generators[agent], state["generator"])

@@ -15,6 +15,7 @@ def robot_network(config: Config) -> NetworkShape:
         Observer(config.env).local_size,
         tuple(config.agent.hidden),
         actions.count(config.env.power.levels),
+        config.agent.dueling,
     )
 
 
@@ -30,7 +31,7 @@ def ap_network(config: Config) -> NetworkShape:
     elif config.scheme.agents == "branching":
         outputs = central_heads(config).actions
     inputs = Observer(config.env).global_size
-    return NetworkShape(inputs, tuple(config.agent.hidden), outputs)
+    return NetworkShape(inputs, tuple(config.agent.hidden), outputs, config.agent.dueling)
 
 
 def joint_actions(config: Config) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from agent.config import AgentConfig
 from conf.networks import joint_actions
 from conf.schema import Config, SchemeConfig
 from env.config import Problem
@@ -69,6 +70,8 @@ def _central_problems(config: Config) -> Iterator[Problem]:
     for key in ("phase", "robots"):
         if getattr(config.scheme, key) != "learned":
             yield f"scheme.{key}", getattr(config.scheme, key), f"learned with {who}"
+    if config.scheme.agents == "branching":
+        yield from _head_problems(config.agent)
     count = joint_actions(config)
     if config.scheme.agents == "centralized" and count > MOST_JOINT_ACTIONS:
         yield (
@@ -77,6 +80,18 @@ def _central_problems(config: Config) -> Iterator[Problem]:
             f"fewer with {who}: the joint actions of all are {count:,}, and at most"
             f" {MOST_JOINT_ACTIONS:,} are taken (scheme.agents=branching has no such bound)",
         )
+
+
+def _head_problems(agent: AgentConfig) -> Iterator[Problem]:
+    """Ways of learning that a network with several heads does not have."""
+    who = "with scheme.agents=branching: several heads have no such way of learning here"
+    for key, value, off in (
+        ("n_step", agent.n_step, 1),
+        ("dueling", agent.dueling, False),
+        ("priority.alpha", agent.priority.alpha, 0.0),
+    ):
+        if value != off:
+            yield f"agent.{key}", value, f"{str(off).lower()} {who}"
 
 
 def _idle_problems(config: Config) -> Iterator[Problem]:

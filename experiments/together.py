@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from agent import Stack
+from agent import Stack, goes_together
 from conf import Config, ConfigError, robots_learn
 from experiments import local
 from experiments.folders import alone, clear, placed
@@ -29,8 +29,8 @@ def train(
 ) -> list[Ending]:
     """Trains runs side by side in this process, until the last one has ended.
 
-    Each of them leaves in its folder what ``risfleet train`` would have left. One agent for
-    everything (see ``can_share``) has no stack to share: such runs follow one another. A file
+    Each of them leaves in its folder what ``risfleet train`` would have left. Where there is no
+    stack to share (see ``can_share``), runs follow one another. A file
     named ``stop`` in a run's folder ends that run at its next aggregation. Nothing is printed.
 
     Args:
@@ -82,8 +82,11 @@ def check_local(config: Config) -> None:
 
 
 def can_share(config: Config) -> bool:
-    """Whether runs of a configuration have agents for a stack: robots that learn for themselves."""
-    return robots_learn(config)
+    """Whether runs of a configuration have agents for a stack.
+
+    Those are robots that learn for themselves, in ways that ``agent.goes_together`` allows.
+    """
+    return robots_learn(config) and goes_together(config.agent)
 
 
 def _resumed(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None:

@@ -8,9 +8,18 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from agent_helpers import Experience, fleet, generators, live, same_bits, shape_of, small_config
 
-from agent import DQN, AgentConfig, NetworkShape, TargetConfig, single_threaded
+from agent import DQN, AgentConfig, NetworkShape, PriorityConfig, TargetConfig, single_threaded
 from agent.learner import Learner, neighbours
 from agent.replay import RowLayout
+
+
+class JoinStreams(torch.nn.Module):
+    """Q = V + A - mean A, with V as the last of the streams."""
+
+    def forward(self, streams):
+        """Action values."""
+        advantages = streams[:, :-1]
+        return streams[:, -1:] + advantages - advantages.mean(1, keepdim=True)
 
 
 class EagerDQN:
@@ -18,7 +27,7 @@ class EagerDQN:
 
     def __init__(self, shape, config, discount, row, mu):
         """Starts from the weights in `row`."""
-        self.config, self.discount, self.mu = config, discount, mu
+        self.config, self.discount, self.mu, self.updates = config, discount, mu, 0
         self.q, self.target = self.module(shape, row), self.module(shape, row)
         self.anchor = [p.detach().clone() for p in self.q.parameters()]
         self.optimiser = torch.optim.Adam(self.q.parameters(), lr=config.learning_rate)
@@ -31,22 +40,26 @@ class EagerDQN:
             linear = torch.nn.Linear(*weight.shape[1:])
             linear.weight.data, linear.bias.data = weight[0].T.contiguous(), bias[0].clone()
             layers += [linear, torch.nn.ReLU()]
-        return torch.nn.Sequential(*layers[:-1])
+        return torch.nn.Sequential(*layers[:-1], *[JoinStreams()] * shape.dueling)
 
-    def update(self, seen, action, reward, following, terminal):
-        """One gradient step; returns the loss."""
+    def update(self, seen, action, reward, following, terminal, weights):
+        """One gradient step on samples of these weights; returns the loss."""
         with torch.no_grad():
             values = self.target(following)
             chosen = (self.q(following) if self.config.double else values).argmax(1, keepdim=True)
             bootstrap = values.gather(1, chosen)[:, 0] * (1 - terminal.float())
         q = self.q(seen).gather(1, action[:, None])[:, 0]
         aim = reward + self.discount * bootstrap
-        loss = F.huber_loss(q, aim, delta=self.config.huber_delta)
-        if self.config.huber_delta == 1:
-            torch.testing.assert_close(loss, F.smooth_l1_loss(q, aim))
+        each = F.huber_loss(q, aim, delta=self.config.huber_delta, reduction="none")
+        loss = (weights * each).mean()
         pull = sum(
             ((p - a) ** 2).sum() for p, a in zip(self.q.parameters(), self.anchor, strict=True)
         )
+        if (end := self.config.learning_rate_end) is not None:
+            share = min(self.updates / self.config.learning_rate_updates, 1)
+            rate = self.config.learning_rate * (1 - share) + end * share
+            self.optimiser.param_groups[0]["lr"] = rate
+        self.updates += 1
         self.optimiser.zero_grad()
         (loss + self.mu / 2 * pull).backward()
         self.optimiser.step()
@@ -74,8 +87,23 @@ class EagerDQN:
         ({"double": True}, 0.8, 0.0),
         ({"huber_delta": 0.2}, 0.0, 0.0),
         ({}, 0.8, 0.05),
+        ({"dueling": True}, 0.8, 0.0),
+        ({"dueling": True, "double": True}, 0.8, 0.0),
+        ({"priority": PriorityConfig(alpha=0.5)}, 0.8, 0.0),
+        ({"learning_rate_end": 1e-4, "learning_rate_updates": 150}, 0.8, 0.0),
     ],
-    ids=["plain", "2x64", "2x128", "double", "no discount", "FedProx"],
+    ids=[
+        "plain",
+        "2x64",
+        "2x128",
+        "double",
+        "no discount",
+        "FedProx",
+        "dueling",
+        "double dueling",
+        "weighted",
+        "falling rate",
+    ],
 )
 def test_the_learner_agrees_with_eager_torch(changes, discount, mu):
     config = small_config(**changes)
@@ -100,10 +128,15 @@ def test_the_learner_agrees_with_eager_torch(changes, discount, mu):
                 learner.batch[agent],
             )
             fields = layout.unpack(learner.batch[agent])
+            weights = np.ones(size, np.float32)
+            if learner.weighing is not None:
+                weights = learner.weighing.importance[agent]
+                weights[:] = rng.random(size)
             expected.append(
                 plain.update(
                     *(torch.from_numpy(x.copy()) for x in fields[:3]),
                     *(torch.from_numpy(x.copy()) for x in fields[3:]),
+                    torch.from_numpy(weights.copy()),
                 )
             )
         np.testing.assert_allclose(learner.update([True, True]), expected, rtol=1e-4)

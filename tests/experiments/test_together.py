@@ -153,9 +153,22 @@ def test_a_run_that_fails_leaves_the_others_to_their_bits(
     )
 
 
-@pytest.mark.parametrize("agents", ["branching", "centralized"])
-def test_one_agent_for_everything_is_trained_one_by_one(runs: Any, agents: str) -> None:
-    changes = {"scheme.agents": agents, "strategy.name": "none", "env.robots": 2}
+CENTRAL = {"strategy.name": "none", "env.robots": 2}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"scheme.agents": "branching", **CENTRAL},
+        {"scheme.agents": "centralized", **CENTRAL},
+        {"agent.updates": 2},
+        {"agent.priority.alpha": 0.6},
+    ],
+    ids=["branching", "centralized", "several updates", "priorities"],
+)
+def test_agents_that_have_no_stack_are_trained_one_by_one(
+    runs: Any, changes: dict[str, Any]
+) -> None:
     ours, alone = runs("together", (3, 4), changes), runs("alone", (3, 4), changes)
     for ending, (_, folder), (config, own) in zip(train(ours), ours, alone, strict=True):
         assert ending["digest"] == local.train(config, own)["digest"]

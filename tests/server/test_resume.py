@@ -21,6 +21,15 @@ from conf.places import robot_windows, server_folder
 from experiments.cli import main
 from server_app import checkpoint, session
 
+FALLING = ("agent.learning_rate_end=0.001", "agent.learning_rate_updates=60")
+EVERY_OPTION = (
+    *FALLING,
+    "agent.updates=2",
+    "agent.n_step=3",
+    "agent.dueling=true",
+    "agent.double=true",
+    "agent.priority.alpha=0.6",
+)
 CHANGES = ("train.max_ticks=120", "state.every=3", "evaluation.every=1")
 
 
@@ -224,6 +233,9 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         ["baseline=random_phase"],
         ["baseline=oracle_phase", "env.channel.fading=slot"],
         ["strategy=fedmedian"],
+        ["strategy=fedadam", *EVERY_OPTION],
+        ["baseline=centralized", "env.robots=2", *EVERY_OPTION],
+        ["baseline=branching", "agent.updates=2", *FALLING],
     ],
 )
 def test_other_worlds_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:
