@@ -14,6 +14,7 @@ import sys
 import time
 import uuid
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -142,7 +143,8 @@ class Fleet:
         for process in [*(node.process for node in self.nodes), self._superlink]:
             if process is not None and process.poll() is None:
                 process.terminate()
-                process.wait(GONE_WITHIN_S)
+                with suppress(subprocess.TimeoutExpired):  # then it is among those that are left
+                    process.wait(GONE_WITHIN_S)
         left, _ = self.crowd.wait_gone(GONE_WITHIN_S)
         return [f"{row.pid} {command(row)[:200]}" for row in left]
 
