@@ -172,6 +172,8 @@ class Clients:
             for block in waiting:
                 if self.places[block] not in online:
                     raise RobotLost(block, where, "its Flower node has gone")
+                if block not in self._pending:  # it came back to the link by itself, too late
+                    raise RobotLost(block, where, "Flower had given it up and takes no reply")
         return waiting
 
     def uploads(self) -> NDArray[np.float32]:

@@ -21,6 +21,7 @@ from client_app.robots import RobotGroup
 from conf import Config, fingerprint
 from conf.places import node_folder, robot_folder, server_folder
 from env.link import LinkServer, LinkTimeout, RobotLost, ServerLost
+from env.link import client as link_client
 from env.link.errors import Disconnected
 from experiments import local
 from server_app import clients as clients_module
@@ -148,6 +149,37 @@ def test_a_client_whose_cable_was_cut_comes_back_by_itself(
     grid = FakeGrid(3)
     assert run(config, grid)["digest"] == expected
     assert len(grid.sent) == 3  # no process had to be started
+
+
+def test_a_client_that_comes_back_after_flower_gave_it_up_costs_no_bit(
+    deployed: Tiny, run: Any, digests: Any, at_tick: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To Flower a node is offline after a minute's silence, and its client's reply is not taken."""
+    config = deployed()
+    expected = digests(config)
+    grid = FakeGrid(3)
+    connect, step = link_client._connected, RobotGroup.step
+
+    def comes_back_late(*given: Any, if_refused: bool = True) -> Any:
+        if not if_refused:
+            grid.nodes = [100, 101]
+            grid.give_up(2)
+        return connect(*given, if_refused=if_refused)
+
+    def is_online_later(self: RobotGroup, told: Any) -> Any:
+        if told.tick == 60:
+            grid.nodes = [100, 101, 102]
+        return step(self, told)
+
+    monkeypatch.setattr(link_client, "_connected", comes_back_late)
+    monkeypatch.setattr(RobotGroup, "step", is_online_later)
+    at_tick(33, 2, CUT)
+    summary = run(config, grid)
+    assert summary["digest"] == expected
+    assert [loss["loss"].split(": ")[0] for loss in summary["losses"]] == [
+        "robot 2 lost at tick 33, window 4",
+        "robot 2 lost at the end of round 1",
+    ]
 
 
 def test_losses_one_after_the_other_cost_no_bit(
