@@ -31,7 +31,9 @@ from agent.storage import (
     checkpoints,
     digest,
     load_checkpoint,
+    naming,
     save_checkpoint,
+    write_whole,
 )
 from agent.streams import generator_state, restore_generator
 from agent.threads import single_threaded
@@ -53,9 +55,11 @@ __all__ = [
     "epsilon_at",
     "generator_state",
     "load_checkpoint",
+    "naming",
     "problems",
     "q_values",
     "restore_generator",
     "save_checkpoint",
     "single_threaded",
+    "write_whole",
 ]

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import fcntl
-import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,13 +19,16 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from rich.console import Console
 
+from agent import checkpoints
 from conf import Config, ConfigError, from_composed, register_schema, to_yaml
 from conf.compose import FOLDER, check_overrides
+from conf.places import STATE, server_folder
 from env.link import LinkError
 from env.plugins import PluginError
 from experiments import local, on_flower
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
+from experiments.folders import alone, check_unused, new_folder
 from server_app import resume
 from server_app.checkpoint import Checkpoint
 from server_app.preflight import check, check_address, checked, checked_training
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str]) -> int:
         _check_address(config)
         return train(config, new_folder(config))
     except ERRORS as error:
-        print(f"risfleet: {error}", file=sys.stderr)
+        _say(error)
         return 2 if isinstance(error, ConfigError | PluginError) else 1
 
 
@@ -88,20 +88,28 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
     """
     console = Console()
     folder = folder.absolute()
-    config = dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder)))
+    run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
+    config = dataclasses.replace(config, run=run)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         allowed = f"a folder that can be made ({error.strerror})"
         raise ConfigError.of([("run.dir", folder, allowed)]) from error
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
-    with _alone(folder):
+    with alone(folder):
         if resumed is not None:
+            for reason in resumed.passed_over:
+                console.print(f"passed over: {reason}", highlight=False, soft_wrap=True)
             console.print(f"going on from window {resumed.window}", highlight=False)
             for stale in ("progress.json", "summary.json"):
                 (folder / stale).unlink(missing_ok=True)
         with StopOnInterrupt(folder, console) as stop, Display(folder, console):
-            summary = RUNTIMES[config.runtime.name](config, folder, resumed)
+            try:
+                summary = RUNTIMES[config.runtime.name](config, folder, resumed)
+            except ERRORS as error:
+                if checkpoints(server_folder(folder / STATE)):
+                    error.add_note(f"To go on: risfleet train {resume.PREFIX}{folder}")
+                raise
     if summary:
         show_summary(console, summary, folder)
     else:
@@ -111,51 +119,15 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
     return INTERRUPTED if stop.asked else 0
 
 
+def _say(error: BaseException) -> None:
+    """Prints what went wrong, and how to go on where that is known."""
+    print(f"risfleet: {error}", *getattr(error, "__notes__", []), sep="\n", file=sys.stderr)
+
+
 def _check_address(config: Config) -> None:
     """Checks the link's address, unless it is another machine's."""
     if config.runtime.connection is None:
         check_address(config)
-
-
-def new_folder(config: Config) -> Path:
-    """The folder of a run that begins now.
-
-    Raises:
-        ConfigError: ``run.dir`` is in use.
-    """
-    if config.run.dir is None:
-        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}-k{config.env.robots}-s{config.seed}"
-        folder, count = Path("runs") / stem, 1
-        while folder.exists():
-            count += 1
-            folder = Path("runs") / f"{stem}-{count}"
-        return folder
-    _check_unused(Path(config.run.dir))
-    return Path(config.run.dir)
-
-
-def _check_unused(folder: Path) -> None:
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Holds a run's folder, so that no second process goes on in it.
-
-    Raises:
-        ConfigError: another process holds it.
-    """
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            say = "a folder in which no run is going on"
-            raise ConfigError.of([("run.dir", folder, say)]) from error
-        yield
-    finally:
-        os.close(handle)
 
 
 class StopOnInterrupt:
@@ -199,7 +171,7 @@ def _train_all(overrides: Sequence[str]) -> int:
         (item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None
     )
     if folder is not None:
-        _check_unused(Path(folder))
+        check_unused(Path(folder))
     statuses: list[int] = []
 
     def job(node: DictConfig) -> None:
@@ -242,7 +214,7 @@ def _job(node: DictConfig) -> int:
     try:
         status = train(config, Path(HydraConfig.get().runtime.output_dir))
     except ERRORS as error:
-        print(f"risfleet: {error}", file=sys.stderr)
+        _say(error)
         return 1
     if status == INTERRUPTED:
         raise KeyboardInterrupt

@@ -55,7 +55,7 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
     try:
         elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
         kept = robots_learn(config) and not elsewhere
-        checkpoint = latest(folder / STATE, config.env.robots if kept else 0)
+        checkpoint = latest(folder / STATE, config.env.robots if kept else 0, config.run.id)
         check_files(folder, checkpoint.meta["marks"])
     except CheckpointError as error:
         raise ConfigError(f"resume={folder}: {error}.") from error

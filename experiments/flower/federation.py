@@ -11,7 +11,6 @@ from experiments.flower import commands
 from experiments.flower.environment import (
     HOST,
     FlowerError,
-    ProcessLostError,
     flower_command,
     free_port,
 )
@@ -25,6 +24,8 @@ _EXECUTOR = "flower-superexec"
 _MOST_RESTARTS = 5
 _STEADY_S = 60.0
 """A SuperNode that lived this long is not one that cannot live."""
+_LAST_WORDS_S = 5.0
+"""For the ServerApp to say which robots a dead SuperNode held, before all is ended."""
 
 
 @dataclass
@@ -77,6 +78,8 @@ class Federation(SuperLink):
         self._spare: list[NodeKeys] = []
         self._nodes: list[_Node] = []
         self._has_server_app = False
+        self._lost = ""
+        self._lost_at = 0.0
 
     def _options(self, session: Session) -> list[str]:
         if not self._secure:
@@ -93,11 +96,12 @@ class Federation(SuperLink):
         """Looks after the SuperNodes and says whether the ServerApp has died.
 
         Raises:
-            ProcessLostError: a SuperNode has died and is not to be started anew.
-            FlowerError: one dies again and again.
+            FlowerError: a SuperNode dies again and again.
         """
         for node in self._nodes:
             self._look_after(node)
+        if self._lost and time.monotonic() - self._lost_at > _LAST_WORDS_S:
+            return self._lost
         below = [command(row) for row in members(None, [self._root()])]
         running = any(_SERVER_APP in text for text in below)
         died, self._has_server_app = self._has_server_app and not running, running
@@ -113,7 +117,9 @@ class Federation(SuperLink):
             return
         what = f"ended with status {code}" if code is not None else f"lost its {_EXECUTOR}"
         if not self._revive:
-            raise ProcessLostError(f"SuperNode {node.number} {what}.", self._superlink_log())
+            if not self._lost:
+                self._lost, self._lost_at = f"SuperNode {node.number} {what}", time.monotonic()
+            return
         lived_s = time.monotonic() - node.began
         node.restarts = 0 if lived_s > _STEADY_S else node.restarts + 1
         if node.restarts > _MOST_RESTARTS:
