@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from experiments.flower import commands
@@ -24,7 +24,7 @@ _EXECUTOR = "flower-superexec"
 _MOST_RESTARTS = 5
 _STEADY_S = 60.0
 """A SuperNode that lived this long is not one that cannot live."""
-_LAST_WORDS_S = 5.0
+_LAST_WORDS_S = 10.0
 """For the ServerApp to say which robots a dead SuperNode held, before all is ended."""
 
 
@@ -39,6 +39,7 @@ class _Node:
         began: when it was started, monotonic, in s.
         restarts: in a row, none of which lived long.
         complete: whether the process that starts its clients has been seen.
+        family: itself and all below it, as last seen.
     """
 
     number: int
@@ -47,6 +48,7 @@ class _Node:
     began: float
     restarts: int = 0
     complete: bool = False
+    family: set[Process] = field(default_factory=set)
 
 
 class Federation(SuperLink):
@@ -110,7 +112,9 @@ class Federation(SuperLink):
     def _look_after(self, node: _Node) -> None:
         """Starts a SuperNode anew that has died, or cannot start clients any more."""
         code = node.process.poll()
-        executor = any(_EXECUTOR in command(row) for row in members(None, [node.root]))
+        family = members(None, [node.root])
+        node.family = family or node.family
+        executor = any(_EXECUTOR in command(row) for row in family)
         crippled = node.complete and not executor
         node.complete |= executor
         if code is None and not crippled:
@@ -118,13 +122,14 @@ class Federation(SuperLink):
         what = f"ended with status {code}" if code is not None else f"lost its {_EXECUTOR}"
         if not self._revive:
             if not self._lost:
+                terminate(None, node.family)  # by its client's end the ServerApp notices
                 self._lost, self._lost_at = f"SuperNode {node.number} {what}", time.monotonic()
             return
         lived_s = time.monotonic() - node.began
         node.restarts = 0 if lived_s > _STEADY_S else node.restarts + 1
         if node.restarts > _MOST_RESTARTS:
             raise FlowerError(f"SuperNode {node.number} {what} again and again.")
-        terminate(None, [node.root])
+        terminate(None, node.family)
         fresh = self._started(node.number)
         fresh.restarts = node.restarts
         self._nodes[node.number] = fresh
