@@ -63,8 +63,7 @@ class Ending:
     Attributes:
         kind: of the cable, see `TwoHosts`.
         seconds: from the command's start to its end.
-        further_s: from the outage's beginning until the server had a later checkpoint; 0 where
-            there was none to wait for.
+        further_s: from the cut of the cable until the server had a later checkpoint; 0 without.
         losses: what the run's summary says of them.
         starts: how often each SuperNode was started.
         reasons: what was not as promised, a sentence each.
@@ -130,7 +129,7 @@ def _train(outage: Outage, hosts: TwoHosts, fleet: Fleet, folder: Path, ending: 
             hosts.mend()
         if outage.kills:
             fleet.nodes[-1].process.kill()
-        if (outage.cut_s or outage.kills) and wait(lambda: watched.checkpoint() > window):
+        if outage.cut_s and wait(lambda: watched.checkpoint() > window):
             ending.further_s = round(time.monotonic() - struck, 1)
         wait(lambda: False)
     else:
@@ -175,13 +174,13 @@ def write(folder: Path, played: Sequence[tuple[Outage, Ending]]) -> None:
 def table(played: Sequence[tuple[Outage, Ending]]) -> Table:
     """What each run had to bear, and how it ended."""
     shown = Table(title="A deployment on two hosts")
-    columns = ("outage", "delay one way", "loss", "robots lost", "back after", "run", "ended")
+    columns = ("outage", "delay one way", "loss", "further after", "robots lost", "run", "ended")
     for name in columns:
         shown.add_column(name)
     for outage, ending in played:
         cable = (f"{outage.delay_ms:g} ms", f"{outage.loss_percent:g} %")
         back = f"{ending.further_s:.0f} s" if ending.further_s else ""
         words = "; ".join(ending.reasons) or "the same bits"
-        losses = f"{len(ending.losses)} times" if ending.losses else "none"
-        shown.add_row(outage.name, *cable, losses, back, f"{ending.seconds:.0f} s", words)
+        waits = [f"awaited {loss['waited_s']:.0f} s" for loss in ending.losses]
+        shown.add_row(outage.name, *cable, back, ", ".join(waits), f"{ending.seconds:.0f} s", words)
     return shown

@@ -89,11 +89,12 @@ def test_a_robot_without_tls_or_without_a_state_of_its_own_is_a_fault(
 
 
 def test_every_outage_is_in_the_report_with_what_was_wrong(tmp_path: Path) -> None:
-    bad = Ending("relay", 99.0, 50.2, [{"back_to": 20}], [1, 4], ["it hung"])
+    bad = Ending("relay", 99.0, 50.2, [{"back_to": 20, "waited_s": 58.9}], [1, 4], ["it hung"])
     played = [(outage, replace(bad)) for outage in OUTAGES]
     shown = outages.table(played)
     assert shown.row_count == len(OUTAGES)
     assert list(shown.columns[-1].cells) == ["it hung"] * len(OUTAGES)
+    assert list(shown.columns[-3].cells) == ["awaited 59 s"] * len(OUTAGES)
     outages.write(tmp_path, played)
     content = json.loads((tmp_path / outages.JSON_NAME).read_text())
     assert [item["outage"]["name"] for item in content] == [outage.name for outage in OUTAGES]
