@@ -10,8 +10,9 @@ from agent import checkpoints
 from benchmarks import distance, memory
 from benchmarks.__main__ import known, main
 from benchmarks.local import configured
-from benchmarks.lockstep import PartedRun, Tick, echoing, shortest
+from benchmarks.lockstep import PartedRun, Tick, shortest
 from benchmarks.prices import Kept, fill
+from benchmarks.sockets import echoing
 from client_app.robots import RobotGroup
 from conf.places import robot_folder, server_folder
 
@@ -121,7 +122,7 @@ def test_the_parts_of_a_tick_are_timed_apart():
 
 
 def test_bare_sockets_answer_each_exchange():
-    with echoing(2) as bare:
+    with echoing(2, (40, 20)) as bare:
         bare(20)
 
 

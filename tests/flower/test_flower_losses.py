@@ -106,7 +106,8 @@ def test_with_abort_a_killed_process_ends_the_run_by_the_robots_name_and_a_resum
         _, errors = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 1, errors
         first, *_, last = errors.strip().splitlines()
-        say = r"risfleet: The run failed: RobotLost: robot [01] lost at tick \d+, window \d+: "
+        where = r"(at tick \d+, window \d+|in round \d+, which began after window \d+)"
+        say = rf"risfleet: The run failed: RobotLost: robot [01] lost {where}: "
         assert re.match(say, first), errors
         assert last == f"To go on: risfleet train resume={folder}"
         assert state_of(folder) == "failed"
