@@ -67,24 +67,6 @@ class Target(Protocol):
         """
 
 
-@dataclass(frozen=True)
-class Job:
-    """Some seeds of one cell, to be trained by one process.
-
-    Attributes:
-        configs: checked, ``run.dir`` set; they differ in the seed alone.
-        alone: see ``Cell``.
-    """
-
-    configs: tuple[Config, ...]
-    alone: bool = False
-
-    @property
-    def folders(self) -> tuple[Path, ...]:
-        """Of the runs."""
-        return tuple(Path(str(config.run.dir)) for config in self.configs)
-
-
 def with_overrides(cells: Sequence[Cell], overrides: Sequence[str]) -> list[Cell]:
     """Cells with the user's overrides on top of their own."""
     return [dataclasses.replace(cell, overrides=(*cell.overrides, *overrides)) for cell in cells]
