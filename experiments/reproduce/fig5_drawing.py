@@ -15,12 +15,17 @@ from numpy.typing import NDArray
 from env.drawing import ROBOT_COLOURS, best_gain_db, draw_floor, missed
 from experiments.reproduce.along import Drive
 from experiments.reproduce.output import plain
+from server_app.figures import running_mean
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 GREYS = LinearSegmentedColormap.from_list("pale", ["#8d99ae", "#ffffff"])
 """Pale enough for black marks to stand out where the gain is low."""
+
+
+SMOOTHING = 10
+"""Slots over which lines along the way are averaged; fig5.csv has each slot."""
 
 
 class Shown(NamedTuple):
@@ -57,7 +62,7 @@ def draw_ways(shown: Sequence[Shown], note: str) -> Figure:
         image = draw_floor(axes, world.config, world.radio_map)
         image.set(cmap=GREYS, clim=(low, high))
         _ways(axes, of)
-        axes.set_title(_title(side, index), fontsize=10)
+        axes.set_title(_title(side, index), fontsize=10, pad=10)
         axes.label_outer()
     figure.colorbar(image, ax=list(panels), label="channel gain, best phase (dB)", pad=0.01)
     crosses = any(_misses(drive).any() for drive in drives)
@@ -114,7 +119,10 @@ def _handle(label: str, **style: Any) -> Line2D:
 
 
 def draw_along(shown: Sequence[Shown], note: str) -> Figure:
-    """Gain and rate of each robot in each slot that it drives: a row for each M_R.
+    """Gain and rate of each robot, the mean of the last slots: a row for each M_R.
+
+    Under NOMA the strongest robot of a slot has most of the rate, and who that is changes from one
+    slot to the next.
 
     Args:
         shown: the episodes.
@@ -133,8 +141,10 @@ def draw_along(shown: Sequence[Shown], note: str) -> Figure:
             plain(axes)
     for axes in panels[-1]:
         axes.set_xlabel("slot")
-    panels[0, 0].set_title(r"$|h_k|^2$ under the phase that is set", fontsize=10)
-    panels[0, 1].set_title(r"$R_k$", fontsize=10)
+    panels[0, 0].set_title(
+        rf"$|h_k|^2$ under the phase set, mean of {SMOOTHING} slots", fontsize=10
+    )
+    panels[0, 1].set_title(rf"$R_k$, mean of {SMOOTHING} slots", fontsize=10)
     robots = len(shown[0].drive.destinations_m)
     handles = [
         _handle(f"robot {robot}, {name}", color=ROBOT_COLOURS[robot], linestyle=style)
@@ -147,7 +157,8 @@ def draw_along(shown: Sequence[Shown], note: str) -> Figure:
 
 
 def _lines(axes: Axes, values: NDArray[np.float64], metric: str) -> None:
-    """Draws a line for each robot, values of shape (T, K), QoE's dotted."""
+    """Draws a line for each robot as long as it drives, values of shape (T, K), QoE's dotted."""
     for robot, line in enumerate(values.T):
+        smooth = running_mean(line[np.isfinite(line)], SMOOTHING)
         colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
-        axes.plot(line, ":" if metric == "qoe" else "-", color=colour, lw=1.3)
+        axes.plot(smooth, ":" if metric == "qoe" else "-", color=colour, lw=1.3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +44,26 @@ def trained(cells: Sequence[Cell], tiny: Sequence[str], store: Path) -> Runs:
 
 
 @pytest.fixture(scope="module")
-def runs_of_fig4(tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory) -> Runs:
+def few_points() -> Iterator[None]:
+    """Quick figures have one M_R and two power budgets."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fig4, "QUICK_SIDES", (30,))
+        patch.setattr(fig4, "QUICK_POWERS_DBM", (10, 30))
+        patch.setattr(fig5, "QUICK_SIDES", (30,))
+        yield
+
+
+@pytest.fixture(scope="module")
+def runs_of_fig4(
+    few_points: None, tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory
+) -> Runs:
     return trained(fig4.TARGET.cells(True), tiny_overrides, tmp_path_factory.mktemp("fig4"))
 
 
 @pytest.fixture(scope="module")
-def runs_of_fig5(tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory) -> Runs:
+def runs_of_fig5(
+    few_points: None, tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory
+) -> Runs:
     return trained(fig5.TARGET.cells(True), tiny_overrides, tmp_path_factory.mktemp("fig5"))
 
 
@@ -76,14 +90,14 @@ def test_no_figure_trains_a_configuration_twice(target: Any, quick: int, full: i
 
 
 def test_cells_are_configurations_that_can_be_trained() -> None:
-    cells = fig4.TARGET.cells(True) + fig5.TARGET.cells(True)
-    cells += [fig4.TARGET.cells(False)[-1], fig5.TARGET.cells(False)[-1]]
-    found = [checked_training([*COMMON, *cell.overrides]) for cell in cells]
-    last, qoe = found[-2].env, found[-1].env
-    assert (last.robots, last.ris.side, last.power.max_dbm, last.access) == (4, 30, 30.0, "oma")
-    assert (last.oma.share, last.metric) == ("fixed", "qos")
-    assert (qoe.robots, qoe.ris.side, qoe.metric, qoe.access) == (3, 40, "qoe", "noma")
-    assert {config.evaluation.episodes for config in found[:-2]} == {20}
+    cells = [fig4.TARGET.cells(True)[0], fig4.TARGET.cells(False)[-1], fig5.TARGET.cells(False)[-1]]
+    first, last, qoe = (checked_training([*COMMON, *cell.overrides]) for cell in cells)
+    assert (first.env.ris.side, first.env.power.max_dbm, first.env.access) == (0, 10.0, "noma")
+    assert (first.train.episodes, first.evaluation.episodes) == (150, 20)
+    env = last.env
+    assert (env.robots, env.ris.side, env.power.max_dbm, env.access) == (4, 30, 30.0, "oma")
+    assert (env.oma.share, env.metric, last.train.episodes) == ("fixed", "qos", 300)
+    assert (qoe.env.robots, qoe.env.ris.side, qoe.env.metric) == (3, 40, "qoe")
 
 
 def test_figures_share_the_runs_that_both_need() -> None:
@@ -97,7 +111,7 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
     assert all(file.is_file() for file in files)
     check_pictures(files, ["fig4"])
     drawn = rows_of(tmp_path / "fig4.csv")
-    assert len(drawn) == 2 * 3 * 5
+    assert len(drawn) == 2 * 5  # power budgets, curves
     assert {(row["access"], row["curve"]) for row in drawn} == {
         *(("noma", curve) for curve in (LEARNED, PLANNED)),
         *(("oma", curve) for curve in (LEARNED, PLANNED, PLANNED_AGAIN)),
@@ -109,13 +123,13 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
     (row,) = (row for row in runs if list(row.values())[:5] == ["3", "30", "10", "oma", LEARNED])
     assert float(row["ee"]) == pytest.approx(last["ee"], rel=1e-5)
     assert float(row["success"]) == pytest.approx(last["success"], rel=1e-5)
-    assert len((tmp_path / "fig4.md").read_text().splitlines()) == 2 + 2 * 5 + 2
+    assert len((tmp_path / "fig4.md").read_text().splitlines()) == 2 + 5 + 2
 
 
 def test_planned_values_are_the_trajectory_oracles_and_are_kept(
     runs_of_fig4: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = runs_of_fig4[fig4.Setting(3, 0, 20, "oma").name][10]
+    run = runs_of_fig4[fig4.Setting(3, 30, 10, "oma").name][10]
     again = overridden(run.config, ["env.oma.share=reallocate"])
     file = tmp_path / "planned.csv"
     values = planning.planned_values([run.config, again, run.config], file, processes=1)
@@ -243,7 +257,7 @@ def test_fig_5_writes_every_slot_and_every_measure(runs_of_fig5: Runs, tmp_path:
     assert all(file.is_file() for file in files)
     check_pictures(files, ["fig5", "fig5_along", "fig5_planned", "fig5_planned_along"])
     measures = rows_of(tmp_path / "fig5_measures.csv")
-    assert len(measures) == 4 * 4  # settings, times learned and planned, times both kinds of starts
+    assert len(measures) == 2 * 4  # QoS and QoE, learned and planned, both kinds of starts
     kinds = {(row["policy"], row["starts"]) for row in measures}
     assert len(kinds) == 4
     slots = rows_of(tmp_path / "fig5.csv")
