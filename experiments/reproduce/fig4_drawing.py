@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
 ARRIVE = 0.9
 """Success below which a point is hollow: EE then speaks of robots that do not arrive."""
+
+LETTERS_PER_INCH = 18
+"""Of the note below the figure."""
 
 COLOURS = {"noma": "#2e86de", "oma": "#e4572e"}
 MARKERS = {"noma": "o", "oma": "s"}
@@ -54,7 +58,8 @@ def draw(drawn: Sequence[Point], note: str) -> Figure:
                 axes.set_ylabel("EE (bit/s/Hz/J)")
     panels[0, 0].set_ylim(bottom=0.0)
     figure.legend(handles=_handles(drawn), loc="outside upper center", ncols=3, frameon=False)
-    figure.supxlabel(note, fontsize=7.5, x=0.01, ha="left", wrap=True)
+    lines = [fill(line, int(LETTERS_PER_INCH * size[0])) for line in note.splitlines()]
+    figure.supxlabel("\n".join([*lines, ""]), fontsize=7.5, x=0.01, ha="left")
     return figure
 
 

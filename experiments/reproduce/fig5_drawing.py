@@ -68,7 +68,7 @@ def draw_ways(shown: Sequence[Shown], note: str) -> Figure:
     crosses = any(_misses(drive).any() for drive in drives)
     handles = _handles(shown[0].drive, crosses)
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False)
-    figure.supxlabel(note, fontsize=7.5, x=0.01, ha="left")
+    figure.supxlabel(f"{note}\n", fontsize=7.5, x=0.01, ha="left")
     return figure
 
 
@@ -152,7 +152,7 @@ def draw_along(shown: Sequence[Shown], note: str) -> Figure:
         for name, style in (("QoS", "-"), ("QoE", ":"))
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=robots, frameon=False)
-    figure.supxlabel(note, fontsize=7.5, x=0.01, ha="left")
+    figure.supxlabel(f"{note}\n", fontsize=7.5, x=0.01, ha="left")
     return figure
 
 

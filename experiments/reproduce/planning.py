@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import track
 
 from agent import single_threaded
-from conf import Config, fingerprint
+from conf import Config, ConfigError, fingerprint
 from experiments.oracle import SLACK
 from experiments.reproduce.along import planned
 from server_app.evaluation import Evaluator
@@ -79,14 +79,20 @@ def planned_values(
 
     Returns:
         The values, in the order of ``configs``.
+
+    Raises:
+        ConfigError: no plan can be made: channels change in each slot, or time is too short.
     """
     keys = [_key(config) for config in configs]
     kept = {_setting(row): row for row in _read(file)}
     known = {row["key"]: row for row in kept.values()}
     missing = {k: c for k, c in zip(keys, configs, strict=True) if k not in known}
-    for row in _worked_out(missing, processes or os.cpu_count() or 1):
-        known[row["key"]] = kept[_setting(row)] = row
-        _write(file, [kept[setting] for setting in sorted(kept)])
+    try:
+        for row in _worked_out(missing, processes or os.cpu_count() or 1):
+            known[row["key"]] = kept[_setting(row)] = row
+            _write(file, [kept[setting] for setting in sorted(kept)])
+    except ValueError as error:
+        raise ConfigError(f"{error}.") from error
     names = [each.name for each in dataclasses.fields(Planned)]
     return [Planned(*(float(known[key][name]) for name in names)) for key in keys]
 

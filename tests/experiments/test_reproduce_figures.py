@@ -13,7 +13,7 @@ import pytest
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from conf import compose, overridden
+from conf import ConfigError, compose, overridden
 from env.trajectory import best_trajectory
 from experiments import gap, local
 from experiments.oracle import SLACK
@@ -158,6 +158,20 @@ def test_planned_values_outlast_an_interrupt(
     with pytest.raises(KeyboardInterrupt):
         planning.planned_values([first, second], tmp_path / "planned.csv", processes=1)
     assert [row["seed"] for row in rows_of(tmp_path / "planned.csv")] == ["1"]
+
+
+def test_what_cannot_be_planned_is_said_in_a_sentence(tiny: Any, tmp_path: Path) -> None:
+    config = tiny({"env.channel.fading": "slot"})
+    with pytest.raises(ConfigError, match=r"env\.channel\.fading=slot: allowed is static or none"):
+        planning.planned_values([config], tmp_path / "planned.csv", processes=1)
+
+
+@pytest.mark.slow
+def test_several_processes_plan_what_one_does(tiny: Any, tmp_path: Path) -> None:
+    tasks = [tiny({"seed": seed, "evaluation.episodes": 2}) for seed in (0, 1, 2)]
+    alone = planning.planned_values(tasks, tmp_path / "alone.csv", processes=1)
+    assert planning.planned_values(tasks, tmp_path / "many.csv", processes=2) == alone
+    assert (tmp_path / "many.csv").read_text() == (tmp_path / "alone.csv").read_text()
 
 
 def test_other_starts_are_planned_anew_and_replace_no_other_line(tiny: Any, tmp_path: Path) -> None:
