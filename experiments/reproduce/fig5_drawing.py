@@ -51,7 +51,7 @@ def draw_ways(shown: Sequence[Shown], note: str) -> Figure:
     """
     sides = sorted({each.side for each in shown})
     rows = ceil(len(sides) / 2)
-    figure = Figure(figsize=(9.2, 0.9 + 4.1 * rows), layout="constrained")
+    figure = Figure(figsize=(9.2, 1.4 + 4.1 * rows), layout="compressed")
     panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False).ravel()
     drives = [each.drive for each in shown]
     maps = [best_gain_db(drive.world.radio_map) for drive in drives]
