@@ -108,7 +108,7 @@ def reward_curve(runs: Sequence[Run]) -> Curve:
 def success_curve(runs: Sequence[Run]) -> Curve:
     """Success of frozen weights with exploration, evaluation by evaluation."""
     every = runs[0].config.evaluation.every
-    return _curve([run.evaluations().get("success", np.empty(0)) for run in runs], every)
+    return _curve([run.evaluations()["success"] for run in runs], every)
 
 
 def _curve(curves: Sequence[Floats], every: int) -> Curve:

@@ -193,7 +193,7 @@ def test_help_says_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
         (["fig3", "seed=3"], "seed is the target's own"),
         (["fig3", "run.figures=true"], "run.figures is the target's own"),
         (["fig3", "runtime=simulation"], "runtime is the target's own"),
-        (["fig3", "hydra/launcher=nowhere"], "hydra/launcher"),
+        (["fig3", "--quick", "hydra/launcher=nowhere"], "hydra/launcher"),
         (["fig3", "hydra/launcher=basic", "--jobs", "2"], "--jobs 2"),
     ],
 )
