@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -31,7 +32,7 @@ HERE = ["hydra/launcher=basic"]
 PATIENCE_S = 120.0
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def overrides(tiny_overrides: tuple[str, ...]) -> list[str]:
     """The tiny task without what a target sets itself; checkpoints at every second window."""
     own = ("run.", "runtime", "train.max_ticks")
@@ -39,10 +40,30 @@ def overrides(tiny_overrides: tuple[str, ...]) -> list[str]:
     return [*kept, "train.max_ticks=40", "state.every=2"]
 
 
+def planned(overrides: Sequence[str], out: Path) -> Plan:
+    """Two seeds of one cell."""
+    return Plan([Cell("tiny", tuple(overrides), (10, 11))], out)
+
+
 @pytest.fixture
 def plan(overrides: list[str], tmp_path: Path) -> Plan:
-    """Two seeds of one cell."""
-    return Plan([Cell("tiny", tuple(overrides), (10, 11))], tmp_path)
+    """A plan of which nothing is trained."""
+    return planned(overrides, tmp_path / "out")
+
+
+@pytest.fixture(scope="module")
+def straight(overrides: list[str], tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    """A plan that was trained without a stop; not to be changed."""
+    found = planned(overrides, tmp_path_factory.mktemp("straight"))
+    trained(found)
+    return found
+
+
+@pytest.fixture
+def done(straight: Plan, plan: Plan) -> Plan:
+    """A plan of which everything is trained."""
+    shutil.copytree(straight.store, plan.store)
+    return plan
 
 
 def trained(plan: Plan) -> tuple[Outcome, str]:
@@ -70,31 +91,29 @@ def spoilt(monkeypatch: pytest.MonkeyPatch, seed: int, spoil: Callable[[Path], N
     return begun
 
 
-def test_what_is_done_is_not_trained_again(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_everything_is_trained_where_nothing_is_done(plan: Plan) -> None:
     outcome, said = trained(plan)
-    assert "2 runs to train" in said
+    assert "2 runs to train in 1 jobs, 0 done before" in said
     assert set(outcome.done) == set(plan.configs)
+
+
+def test_what_is_done_is_not_trained_again(done: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     begun = spoilt(monkeypatch, 99, lambda folder: None)
-    outcome, said = trained(plan)
+    outcome, said = trained(done)
     assert (begun, said) == ([], "")
     assert len(outcome.done) == 2
 
 
 def test_a_run_has_the_bits_that_risfleet_train_gives(
-    plan: Plan, overrides: list[str], tmp_path: Path
+    straight: Plan, overrides: list[str], tmp_path: Path
 ) -> None:
-    trained(plan)
     same = ["runtime=local", "run.figures=false", "run.tensorboard=false", "seed=11"]
     assert main(["train", *overrides, *same, f"run.dir={tmp_path / 'alone'}"]) == 0
     alone = json.loads((tmp_path / "alone" / "summary.json").read_text())
-    assert digests(plan)[1] == alone["digest"]
+    assert digests(straight)[1] == alone["digest"]
 
 
-def test_a_run_that_was_stopped_goes_on_to_the_same_bits(
-    plan: Plan, overrides: list[str], tmp_path: Path
-) -> None:
-    straight = Plan([Cell("tiny", tuple(overrides), (10, 11))], tmp_path / "straight")
-    trained(straight)
+def test_a_run_that_was_stopped_goes_on_to_the_same_bits(plan: Plan, straight: Plan) -> None:
     with pytest.MonkeyPatch.context() as patch:
         spoilt(patch, 10, lambda folder: (folder / STOP_FILE).touch())
         outcome, _ = trained(plan)
@@ -109,9 +128,8 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bits(
 
 
 @pytest.mark.parametrize("damage", ["summary.json", "weights.safetensors", "evaluations.csv"])
-def test_a_damaged_run_is_trained_again(damage: str, plan: Plan) -> None:
-    trained(plan)
-    first = next(iter(plan.configs.values()))
+def test_a_damaged_run_is_trained_again(damage: str, done: Plan) -> None:
+    first = next(iter(done.configs.values()))
     folder = folder_of(first)
     (folder / damage).write_text("{")
     for checkpoint in (folder / "state").rglob("*.safetensors"):
@@ -120,7 +138,7 @@ def test_a_damaged_run_is_trained_again(damage: str, plan: Plan) -> None:
         (folder / damage).unlink()
     assert state_of(first) is State.NEW
     (folder / "of an earlier time").touch()
-    trained(plan)
+    trained(done)
     assert state_of(first) is State.DONE
     assert not (folder / "of an earlier time").exists()
 
@@ -169,7 +187,7 @@ def test_jobs_are_launched_again_where_their_launcher_broke(
 def test_two_calls_do_not_train_in_one_folder(plan: Plan) -> None:
     from experiments.reproduce.runner import _alone
 
-    plan.store.mkdir()
+    plan.store.mkdir(parents=True)
     with _alone(plan.store), pytest.raises(ConfigError, match="nothing is being reproduced"):
         trained(plan)
 
