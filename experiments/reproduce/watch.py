@@ -60,7 +60,8 @@ class Interrupts:
 
     def look(self) -> None:
         """Takes a Ctrl-C that waits, and tells runs that have begun since; from another thread."""
-        if signal.sigtimedwait({signal.SIGINT}, 0) is not None:
+        if signal.SIGINT in signal.sigpending():
+            signal.sigwait({signal.SIGINT})
             _thread.interrupt_main()
         if self.asked:
             self._tell()
