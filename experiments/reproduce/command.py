@@ -47,6 +47,8 @@ def main(arguments: Sequence[str]) -> int:
     out = Path(given.out or ("reproduce-quick" if given.quick else "reproduce"))
     try:
         ours, hydra = _overrides(given.overrides)
+        if given.jobs and any(item.startswith("hydra/launcher=") for item in hydra):
+            raise ConfigError(f"--jobs {given.jobs}: allowed with Hydra's launcher joblib alone.")
         targets = _targets(given.target)
         cells = {t.name: with_overrides(t.cells(given.quick), ours) for t in targets}
         plan = Plan([cell for each in cells.values() for cell in each], out)
@@ -62,12 +64,16 @@ def main(arguments: Sequence[str]) -> int:
         return status
     call = {"quick": given.quick, "overrides": ours}
     for target in targets:
+        console.print(f"{target.name}:")
         runs = plan.runs(cells[target.name])
         files = target.report(runs, out, quick=given.quick)
         spent = {"wall_s": round(time.perf_counter() - began, 1)}
         files.append(
             manifest.write(out, target.name, cells[target.name], runs, files, call | spent)
         )
+        for path in files:
+            if path.suffix == ".md":
+                console.print(path.read_text(), markup=False, highlight=False, soft_wrap=True)
         for path in files:
             console.print(f"  {path}", highlight=False, soft_wrap=True)
     return 0

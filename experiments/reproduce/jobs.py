@@ -37,12 +37,10 @@ class Job:
     Attributes:
         overrides: Hydra's, without the seed.
         configs: checked, with ``run.dir``; they differ in seed and folder alone.
-        alone: see ``Cell``.
     """
 
     overrides: tuple[str, ...]
     configs: tuple[Config, ...]
-    alone: bool = False
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -131,7 +129,7 @@ def missing(
         new = [c for c in left if states[folder_of(c)] is State.NEW]
         if cell.alone:
             begun, new = begun + new, []
-        jobs += [Job(overrides, (config,), cell.alone) for config in begun]
+        jobs += [Job(overrides, (config,)) for config in begun]
         if new:
             jobs.append(Job(overrides, tuple(new)))
     return jobs

@@ -15,7 +15,7 @@ from experiments.reproduce.plan import Cell
 from experiments.reproduce.runs import Run
 from server_app.recorder import write_atomically
 
-DISTRIBUTIONS = ("risfleet", "torch", "numpy", "scipy", "flwr", "hydra-core", "matplotlib")
+DISTRIBUTIONS = ("risfleet", "torch", "numpy", "flwr", "hydra-core", "matplotlib")
 
 
 def write(

@@ -77,13 +77,14 @@ def configs(cell: Cell, store: Path) -> dict[int, Config]:
 
     Args:
         cell: the cell.
-        store: the folder of all runs; cells of equal configurations share theirs below it.
+        store: the folder of all runs; cells of equal configurations share theirs below it, unless
+            one of them needs the processor time of seeds that train alone.
 
     Raises:
         ConfigError: a wrong key, value or combination.
     """
     base = checked_training([*COMMON, *cell.overrides])
-    folder = store / cell_folder(base)
+    folder = store / (cell_folder(base) + ("-alone" if cell.alone else ""))
     found = {}
     for seed in cell.seeds:
         run = dataclasses.replace(base.run, dir=str(folder / f"seed={seed}"))

@@ -60,6 +60,10 @@ class Plan:
         """Every run once, by its folder."""
         return {folder_of(c): c for _, runs in self.cells for c in runs.values()}
 
+    def states(self) -> dict[Path, State]:
+        """What each run's folder holds now."""
+        return {folder: state_of(config) for folder, config in self.configs.items()}
+
     def runs(self, cells: Sequence[Cell]) -> Runs:
         """The runs of some of the cells, by the cell's name and by seed."""
         return {
@@ -83,33 +87,31 @@ def train(plan: Plan, workers: int, hydra: Sequence[str], console: Console) -> O
     """
     build_launcher(print, hydra, plan.store, workers)  # before anything starts
     plan.store.mkdir(parents=True, exist_ok=True)
-    with _alone(plan.store):
-        with Interrupts(plan.store, list(plan.configs), console) as interrupts:
-            for attempt in range(ATTEMPTS):
-                states = {folder: state_of(config) for folder, config in plan.configs.items()}
-                failed = _failed(states) if attempt else {}
-                jobs = [
-                    job
-                    for job in dealt(missing(plan.cells, states), workers)
-                    if not set(job.folders) <= set(failed)
-                ]
-                if not jobs or interrupts.asked:
-                    break
-                if not attempt:
-                    _clear(states)
-                _launch(jobs, states, plan.store, workers, hydra, interrupts, console)
-        states = {folder: state_of(config) for folder, config in plan.configs.items()}
-    done = tuple(folder for folder, state in states.items() if state is State.DONE)
-    lost = {} if interrupts.asked else {f: "it did not end" for f in states if f not in done}
-    return Outcome(done, lost | ({} if interrupts.asked else _failed(states)), interrupts.asked)
+    folders = list(plan.configs)
+    with _alone(plan.store), Interrupts(plan.store, folders, console) as interrupts:
+        failed: dict[Path, str] = {}
+        for _ in range(ATTEMPTS):
+            states = plan.states()
+            jobs = dealt(missing(plan.cells, states), workers)
+            jobs = [job for job in jobs if not set(job.folders) <= set(failed)]
+            if not jobs or interrupts.asked:
+                break
+            _clear(jobs, states)
+            _launch(jobs, states, plan.store, workers, hydra, interrupts, console)
+            failed = _failed(plan.states())
+    done = tuple(folder for folder, state in plan.states().items() if state is State.DONE)
+    if interrupts.asked:
+        return Outcome(done, {}, interrupted=True)
+    lost = {folder: "it did not end" for folder in folders if folder not in done}
+    return Outcome(done, lost | failed, interrupted=False)
 
 
-def _clear(states: Mapping[Path, State]) -> None:
+def _clear(jobs: Sequence[Job], states: Mapping[Path, State]) -> None:
     """Removes what cannot be used, and what earlier attempts said of their end."""
-    for folder, state in states.items():
-        if state is State.NEW and folder.exists():
+    for folder in (folder for job in jobs for folder in job.folders):
+        if states[folder] is State.NEW and folder.exists():
             shutil.rmtree(folder)
-        elif state is State.BEGUN and _said_failed(folder):
+        elif _said_failed(folder):
             (folder / "progress.json").unlink()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -47,15 +47,15 @@ class Run:
 
     def metrics(self) -> Columns:
         """The columns of ``metrics.csv``, each of shape (episodes,)."""
-        return _columns(_rows(self.folder / "metrics.csv"))
+        return _columns(self.folder / "metrics.csv")
 
     def evaluations(self) -> Columns:
         """The columns of ``evaluations.csv`` with exploration, each of shape (evaluations,)."""
-        return _columns(_rows(self.folder / "evaluations.csv")[::2])
+        return _columns(self.folder / "evaluations.csv", 0, 2)
 
     def greedy(self) -> Columns:
         """The columns of ``evaluations.csv`` without exploration, each of shape (evaluations,)."""
-        return _columns(_rows(self.folder / "evaluations.csv")[1::2])
+        return _columns(self.folder / "evaluations.csv", 1, 2)
 
     def weights(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Online weights: robots (K, P), access point (P_AP,).
@@ -70,11 +70,9 @@ Runs = Mapping[str, Mapping[int, Run]]
 """From a cell's name and a seed to a run."""
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def _columns(path: Path, first: int = 0, step: int = 1) -> Columns:
+    """The columns of a CSV file of numbers, of the rows ``first::step``; empty is nan."""
     with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def _columns(rows: Sequence[Mapping[str, str]]) -> Columns:
-    names = rows[0] if rows else ()
+        reader = csv.DictReader(file)
+        names, rows = reader.fieldnames or (), list(reader)[first::step]
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

@@ -185,7 +185,7 @@ def _time(run: Run, unit: str) -> tuple[float, bool]:
     ends = {"episode": "episodes", "tick": "ticks", "cpu_s": "cpu_s"}
     rows = run.evaluations()
     streak = 0
-    for success in rows.get("success", np.empty(0))[:-IN_A_ROW:-1]:
+    for success in rows["success"][:-IN_A_ROW:-1]:
         if success < CONVERGED:
             break
         streak += 1

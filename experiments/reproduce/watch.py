@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -45,6 +46,7 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         """Takes Ctrl-C over."""
         self._forget()  # what a call that was killed has left
+        resource_tracker.ensure_running()  # as it starts, it unblocks the signal
         self._before = signal.signal(signal.SIGINT, self._on_signal)
         self._mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         return self
@@ -58,7 +60,8 @@ class Interrupts:
 
     def look(self) -> None:
         """Takes a Ctrl-C that waits, and tells runs that have begun since; from another thread."""
-        if signal.sigtimedwait({signal.SIGINT}, 0) is not None:
+        if signal.SIGINT in signal.sigpending():
+            signal.sigwait({signal.SIGINT})
             _thread.interrupt_main()
         if self.asked:
             self._tell()
@@ -101,7 +104,8 @@ class Watch:
         self._episodes = sum(config.train.episodes for config in left)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
-        self._began, self._before_s = time.monotonic(), self._worked_s(self._read())
+        self._began, self._began_at = time.monotonic(), time.time()
+        self._before_s = self._worked_s(self._read())
 
     def __enter__(self) -> Watch:
         """Begins to show."""
@@ -128,9 +132,14 @@ class Watch:
                     self._console.print(self.line(), highlight=False, soft_wrap=True)
 
     def _read(self) -> dict[Path, dict[str, Any]]:
-        """What the runs that have begun last wrote."""
-        found = {folder: read_progress(folder) for folder in self._costs_s}
-        return {folder: status for folder, status in found.items() if status is not None}
+        """What runs last wrote; those that are still to go on are in the state "stopped"."""
+        found = {}
+        for folder in self._costs_s:
+            status = read_progress(folder)
+            if status is not None:
+                before = (status["written_at"] or 0.0) < self._began_at
+                found[folder] = status | ({"state": "stopped"} if before else {})
+        return found
 
     def _worked_s(self, statuses: Mapping[Path, dict[str, Any]]) -> float:
         """The guessed processor time of what is done."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,16 +78,17 @@ class Work:
 
 @contextmanager
 def _ending_with(owner: int, folders: Sequence[Path]) -> Iterator[None]:
-    """Ends runs at their next window if the process that owns this one dies."""
+    """Ends runs at their next window, and then this process, if the one that owns it dies."""
     ended = threading.Event()
 
     def watch() -> None:
         while not ended.wait(LOOK_S):
             if os.getppid() != owner:
-                folders[0].parent.parent.joinpath(STOP_FILE).touch()
-                for folder in folders:
-                    folder.joinpath(STOP_FILE).touch()
-                return
+                for folder in (folders[0].parent.parent, *folders):
+                    with suppress(FileNotFoundError):
+                        (folder / STOP_FILE).touch()
+                ended.wait()
+                os._exit(1)  # else the launcher's process would wait for work for minutes
 
     watcher = threading.Thread(target=watch, name="owner", daemon=True)
     if os.getppid() == owner:  # not in the owner itself, nor on another machine
