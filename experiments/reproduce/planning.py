@@ -106,6 +106,8 @@ def _key(config: Config) -> str:
 
 def _worked_out(missing: dict[str, Config], processes: int) -> Iterator[Row]:
     """The rows of what is missing, as they come; an interrupt leaves the rest undone."""
+    if not missing:
+        return
     show = Console(stderr=True)
     if min(processes, len(missing)) < 2:
         for config in track(missing.values(), "planning trajectories", console=show):
