@@ -137,12 +137,12 @@ def _draw(rewards: dict[str, Curve], successes: dict[str, Curve], seeds: int) ->
                 _draw_curve(axes, name, curves[name])
             plain(axes)
         rows[0, column].set_title(title)
-        rows[0, column].legend(frameon=False, fontsize=9)
+        rows[0, column].legend(loc="lower right", frameon=False, fontsize=9)
         rows[1, column].axhline(CONVERGED, color="#999999", linewidth=0.8, linestyle="--")
         rows[1, column].set(xlabel="training episode", ylim=(-0.02, 1.05))
     rows[0, 0].set_ylabel(f"total reward of a training episode\n(mean of the last {SMOOTHING})")
     rows[1, 0].set_ylabel("robots that arrive\n(frozen weights, held-out starts, eps = .05)")
-    figure.supxlabel(f"mean of {seeds} seeds, 95 % bootstrap interval", fontsize=9)
+    figure.suptitle(f"mean of {seeds} seeds, 95 % bootstrap interval", fontsize=9)
     return figure
 
 

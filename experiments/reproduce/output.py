@@ -10,11 +10,13 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from server_app.recorder import write_atomically
 
 DPI = 150
 QUICK = "quick: few seeds and short runs, not for comparison"
+STAMP_INCHES = 0.25
 
 Row = Sequence[object]
 
@@ -29,6 +31,10 @@ def save_figure(figure: Figure, out: Path, name: str, *, quick: bool) -> list[Pa
         quick: whether few and short runs are behind it.
     """
     if quick:
+        strip = STAMP_INCHES / figure.get_figheight()
+        engine = figure.get_layout_engine()
+        if isinstance(engine, ConstrainedLayoutEngine):
+            engine.set(rect=(0.0, strip, 1.0, 1.0 - strip))
         figure.text(0.995, 0.005, QUICK, ha="right", va="bottom", fontsize=8, color="#c0392b")
     png, svg = out / f"{name}.png", out / f"{name}.svg"
     with mpl.rc_context({"svg.hashsalt": name}):

@@ -31,7 +31,15 @@ def cost_of_all_s(name: str, quick: bool) -> float:
     return sum(cost_s(config) for runs in planned(name, quick).values() for config in runs.values())
 
 
-@pytest.mark.parametrize(("name", "quick"), [("fig3", True), *((name, False) for name in TARGETS)])
+@pytest.mark.parametrize(
+    ("name", "quick"),
+    [
+        ("fig3", True),
+        ("fig3", False),
+        ("ablations", True),
+        pytest.param("ablations", False, marks=pytest.mark.slow),
+    ],
+)
 def test_every_cell_composes_and_differs_from_the_others(name: str, quick: bool) -> None:
     cells = target(name).cells(quick)
     assert target(name).name == name
