@@ -31,8 +31,8 @@ def train(
     """Trains runs side by side in this process, until the last one has ended.
 
     Each of them leaves in its folder what ``risfleet train`` would have left. Where there is no
-    stack to share (see ``can_share``), runs follow one another. A file
-    named ``stop`` in a run's folder ends that run at its next aggregation. Nothing is printed.
+    stack to share (see ``can_share``), runs follow one another. A file named ``stop`` in a run's
+    folder ends that run at its next aggregation. Nothing is printed.
 
     Args:
         configs: checked configurations with ``runtime=local`` whose agents are alike: those of

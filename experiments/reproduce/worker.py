@@ -13,8 +13,8 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from conf import Config
-from experiments import local
-from experiments.reproduce.jobs import Job, State, checkpoint_of, folder_of, state_of
+from experiments import together
+from experiments.reproduce.jobs import Job, State, folder_of, state_of
 from server_app.recorder import report_failure
 from server_app.session import STOP_FILE
 
@@ -22,28 +22,23 @@ LOOK_S = 1.0
 
 
 def train_seeds(configs: Sequence[Config], folders: Sequence[Path]) -> None:
-    """Trains new runs that differ in their seeds alone; one that fails leaves the others to go on.
+    """Trains runs that differ in their seeds alone, side by side where they can share a stack.
+
+    One that has begun goes on; one that fails leaves the others to go on.
 
     Args:
         configs: of the runs.
         folders: theirs; each says in ``progress.json`` what became of its run.
     """
-    for config, folder in zip(configs, folders, strict=True):
-        if asked_to_stop(folder):
+    runs = list(zip(configs, folders, strict=True))
+    shared = all(map(together.can_share, configs))
+    for batch in [runs] if shared else [[run] for run in runs]:
+        if asked_to_stop(batch[0][1]):
             return
-        _train(config, folder)
-
-
-def _train(config: Config, folder: Path) -> None:
-    try:
-        checkpoint = None
-        if state_of(config) is State.BEGUN:
-            checkpoint = checkpoint_of(config)
-            for stale in ("progress.json", "summary.json"):
-                (folder / stale).unlink(missing_ok=True)
-        local.train(config, folder, checkpoint)
-    except Exception as error:
-        report_failure(folder, error)
+        endings = together.train(*zip(*batch, strict=True), missing=True)
+        for ending, (_, folder) in zip(endings, batch, strict=True):
+            if isinstance(ending, Exception):
+                report_failure(folder, ending)
 
 
 def asked_to_stop(folder: Path) -> bool:
