@@ -18,8 +18,9 @@ from conf.compose import check_overrides
 from env.plugins import PluginError
 from experiments.evaluate import positive
 from experiments.reproduce import manifest
-from experiments.reproduce.plan import Target, with_overrides
+from experiments.reproduce.plan import Cell, Target, with_overrides
 from experiments.reproduce.runner import Outcome, Plan, train
+from experiments.reproduce.runs import Runs
 
 TARGETS = ("fig3", "fig4", "fig5", "ablations")
 """Each a module beside this one, with its ``TARGET``."""
@@ -53,30 +54,41 @@ def main(arguments: Sequence[str]) -> int:
         cells = {t.name: with_overrides(t.cells(given.quick), ours) for t in targets}
         plan = Plan([cell for each in cells.values() for cell in each], out)
         outcome = train(plan, given.jobs or _cores(), hydra, console)
+        status = _said(outcome, console)
+        if status:
+            return status
+        call = {"quick": given.quick, "overrides": ours}
+        for target in targets:
+            runs = plan.runs(cells[target.name])
+            _report(target, cells[target.name], runs, out, call, began, console)
     except (ConfigError, PluginError) as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
     except OSError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 1
-    status = _said(outcome, console)
-    if status:
-        return status
-    call = {"quick": given.quick, "overrides": ours}
-    for target in targets:
-        console.print(f"{target.name}:")
-        runs = plan.runs(cells[target.name])
-        files = target.report(runs, out, quick=given.quick)
-        spent = {"wall_s": round(time.perf_counter() - began, 1)}
-        files.append(
-            manifest.write(out, target.name, cells[target.name], runs, files, call | spent)
-        )
-        for path in files:
-            if path.suffix == ".md":
-                console.print(path.read_text(), markup=False, highlight=False, soft_wrap=True)
-        for path in files:
-            console.print(f"  {path}", highlight=False, soft_wrap=True)
     return 0
+
+
+def _report(
+    target: Target,
+    cells: Sequence[Cell],
+    runs: Runs,
+    out: Path,
+    call: dict[str, Any],
+    began: float,
+    console: Console,
+) -> None:
+    """Makes what a target makes of its runs, with a manifest, and shows tables and file names."""
+    console.print(f"{target.name}:")
+    files = target.report(runs, out, quick=call["quick"])
+    spent = {"wall_s": round(time.perf_counter() - began, 1)}
+    files.append(manifest.write(out, target.name, cells, runs, files, call | spent))
+    for path in files:
+        if path.suffix == ".md":
+            console.print(path.read_text(), markup=False, highlight=False, soft_wrap=True)
+    for path in files:
+        console.print(f"  {path}", highlight=False, soft_wrap=True)
 
 
 def _said(outcome: Outcome, console: Console) -> int:

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -78,16 +78,15 @@ def digests(plan: Plan) -> list[dict[str, str]]:
 def spoilt(monkeypatch: pytest.MonkeyPatch, seed: int, spoil: Callable[[Path], None]) -> list[int]:
     """Spoils the run of one seed as it begins; returns the list of the seeds that begin."""
     begun: list[int] = []
-    real = local.train
+    real = local.turns
 
-    def train(config: Config, folder: Path, resumed: Any = None) -> dict[str, Any]:
+    def turns(config: Config, folder: Path, *rest: Any) -> Generator[None, None, dict[str, Any]]:
         begun.append(config.seed)
         if config.seed == seed:
-            folder.mkdir(parents=True, exist_ok=True)
             spoil(folder)
-        return real(config, folder, resumed)
+        return (yield from real(config, folder, *rest))
 
-    monkeypatch.setattr("experiments.reproduce.worker.local.train", train)
+    monkeypatch.setattr("experiments.together.local.turns", turns)
     return begun
 
 
