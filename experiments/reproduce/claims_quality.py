@@ -72,7 +72,7 @@ def _of_policy(held: Held, policy: str) -> Iterator[Claim | None]:
             yield {"M_R": f"M_R = {side}"}, gain_db
 
     better = "QoS keeps better channels than QoE"
-    gain = "mean |h_k|^2 along the way"
+    gain = "mean channel gain along the way"
     yield claim(
         "QoS has a higher EE than QoE", WHERE, f"gain in EE, %, {starts}", percent("ee", QOS, QOE)
     )

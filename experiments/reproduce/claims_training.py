@@ -147,9 +147,9 @@ def _costs(ours: Run, theirs: Run) -> list[Claim]:
             "centralized DRL cannot work when K > 3",
             "Section IV on Fig. 3",
             "K > 3",
-            f"{measure}; works: below {TOO_DEAR:,.0f}. Joint actions: {told}; more than"
-            f" {MOST_JOINT_ACTIONS:,} are refused, so above K = {large} the time is that of"
-            f" K = {large} in proportion to them",
+            f"{measure}; works, by our measure: below {TOO_DEAR:,.0f}. Joint actions: {told};"
+            f" more than {MOST_JOINT_ACTIONS:,} are refused, so above K = {large} the time is that"
+            f" of K = {large} in proportion to them",
             [
                 Check({"K": f"K = {k}"}, estimate(ratio), TOO_DEAR, above=k > large)
                 for k, ratio in found.items()

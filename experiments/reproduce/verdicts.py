@@ -113,8 +113,8 @@ class Claim:
                 if result in by_result
             )
         counts = Counter(check.result for check in self.checks)
-        told = ", ".join(f"{counts[result]} {result.value}" for result in Result if counts[result])
-        return f"of {len(self.checks)} settings {told}"
+        told = [f"{result.value} in {counts[result]}" for result in Result if counts[result]]
+        return f"{', '.join(told)} of {len(self.checks)} settings"
 
     @property
     def ours(self) -> str:
