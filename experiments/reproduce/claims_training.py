@@ -64,12 +64,11 @@ def _faster(each: dict[str, list[Run]], rival: str, least: float) -> Claim:
 def _at_the_end(each: dict[str, list[Run]]) -> list[Claim]:
     """Rewards, their fluctuations and EE at the end of training, against the rivals."""
     where = "Section IV on Fig. 3"
-    rewards = {name: np.array([_last_rewards(run) for run in runs]) for name, runs in each.items()}
     ees = {name: _last5(runs, "ee") for name, runs in each.items()}
-    ours, theirs = rewards[OURS], rewards[CENTRALIZED]
+    ours, theirs = ([_last_rewards(run) for run in each[name]] for name in (OURS, CENTRALIZED))
     last = f"of the total rewards of the last {LAST} training episodes"
-    higher = difference(ours.mean(axis=1), theirs.mean(axis=1))
-    steadier = difference(ours.std(axis=1), theirs.std(axis=1))
+    higher = difference([np.mean(run) for run in ours], [np.mean(run) for run in theirs])
+    steadier = difference([np.std(run) for run in ours], [np.std(run) for run in theirs])
     gains = {
         name: difference(ees[OURS], ees[rival])
         for name, rival in (("centralized", CENTRALIZED), ("branching heads", BRANCHING))

@@ -7,13 +7,14 @@ made, and its cost follows from the number of joint actions.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 
 import numpy as np
 
 from agent import DQN, single_threaded
-from conf import Config, ap_network, joint_actions, overridden, robot_network
+from conf import Config, ap_network, joint_actions, robot_network
 from experiments.reproduce.statistics import Floats
 
 MEASURED = (2, 3)
@@ -25,7 +26,7 @@ CENTRAL_STEPS, FEDERATED_STEPS = 4, 40
 
 def actions(config: Config, robots: int) -> int:
     """Joint actions of a task with another number of robots, N_R^N (4 N_P)^K."""
-    return joint_actions(overridden(config, [f"env.robots={robots}"]))
+    return joint_actions(_with(config, robots))
 
 
 def ratios(ours: Config, theirs: Config) -> dict[int, Floats]:
@@ -41,8 +42,8 @@ def ratios(ours: Config, theirs: Config) -> dict[int, Floats]:
     """
     single_threaded()
     every, last = (*MEASURED, *EXTRAPOLATED), MEASURED[-1]
-    federated = {k: _federated(overridden(ours, [f"env.robots={k}"])) for k in every}
-    central = {k: _centralized(overridden(theirs, [f"env.robots={k}"])) for k in MEASURED}
+    federated = {k: _federated(_with(ours, k)) for k in every}
+    central = {k: _centralized(_with(theirs, k)) for k in MEASURED}
     ours_s: dict[int, list[float]] = {k: [] for k in federated}
     theirs_s: dict[int, list[float]] = {k: [] for k in central}
     for _ in range(BLOCKS):  # in turns, so that what else the machine does meets all alike
@@ -52,6 +53,11 @@ def ratios(ours: Config, theirs: Config) -> dict[int, Floats]:
             theirs_s[k].append(_step_s(learners, CENTRAL_STEPS))
     growth = {k: actions(ours, k) / actions(ours, min(k, last)) for k in every}
     return {k: np.array(theirs_s[min(k, last)]) * growth[k] / np.array(ours_s[k]) for k in every}
+
+
+def _with(config: Config, robots: int) -> Config:
+    """A configuration with another number of robots."""
+    return dataclasses.replace(config, env=dataclasses.replace(config.env, robots=robots))
 
 
 def _federated(config: Config) -> list[DQN]:
