@@ -178,6 +178,7 @@ def test_claims_need_no_run_that_a_figure_does_not() -> None:
 def test_the_command_writes_every_claim_and_every_check(
     tiny_overrides: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(fig3, "QUICK_SEEDS", (10,))
     monkeypatch.setattr(fig4, "QUICK_SIDES", (0, 30))
     monkeypatch.setattr(fig4, "QUICK_POWERS_DBM", (20,))
     monkeypatch.setattr(fig5, "QUICK_SIDES", (30,))
