@@ -13,6 +13,7 @@ from experiments.reproduce.verdicts import Claim
 
 WHERE = "Section IV on Fig. 5"
 QOS, QOE = "qos", "qoe"
+DECIBELS = "+.2f"
 
 Held = Mapping[tuple[str, int, str], Floats]
 """A measure by metric, M_R and name, shape (seeds,)."""
@@ -46,54 +47,65 @@ def _held(rows: Sequence[Values]) -> Held:
 
 def _of_policy(held: Held, policy: str) -> Iterator[Claim | None]:
     starts = f"{policy}, held-out starts; mean over M_R"
-    sides = sorted({side for _, side, _ in held})
-
-    def percent(name: str, ours: str, theirs: str) -> Pairs:
-        for side in sides:
-            ratio = held[ours, side, name] / held[theirs, side, name]
-            yield {"M_R": f"M_R = {side}"}, 100.0 * (ratio - 1.0)
-
-    def decibels(side: int) -> Floats:
-        return held[QOS, side, "gain_db"] - held[QOE, side, "gain_db"]
-
-    def channels() -> Pairs:
-        for side in sides:
-            yield {"M_R": f"M_R = {side}"}, decibels(side)
-
-    def wider() -> Pairs:
-        small, large = ([s for s in sides if (s > KNEE) == above] for above in (False, True))
-        if small and large:
-            means = [np.mean([decibels(side) for side in part], axis=0) for part in (small, large)]
-            yield {"M_R": f"M_R > {KNEE}"}, means[1] - means[0]
-
-    def improved() -> Pairs:
-        for side in (side for side in sides if side and 0 in sides):
-            gain_db = held[QOS, side, "gain_db"] - held[QOS, 0, "gain_db"]
-            yield {"M_R": f"M_R = {side}"}, gain_db
-
-    better = "QoS keeps better channels than QoE"
-    gain = "mean channel gain along the way"
+    percent = f"%, {starts}"
     yield claim(
-        "QoS has a higher EE than QoE", WHERE, f"gain in EE, %, {starts}", percent("ee", QOS, QOE)
+        "QoS has a higher EE than QoE", WHERE, f"gain in EE, {percent}", _ratio(held, "ee", QOS)
     )
     yield claim(
         "with QoE the worst robot has a higher rate than with QoS",
         WHERE,
-        f"gain in the least rate, %, {starts}",
-        percent("min_rate", QOE, QOS),
+        f"gain in the least rate, {percent}",
+        _ratio(held, "min_rate", QOE),
     )
-    yield claim(better, WHERE, f"difference in dB of the {gain}, {starts}", channels(), "+.2f")
+    better = "QoS keeps better channels than QoE"
+    gain = "mean channel gain along the way"
+    difference = f"difference in dB of the {gain}, {starts}"
+    yield claim(better, WHERE, difference, _channels(held), DECIBELS)
     yield claim(
         f"{better}, the more so for M_R > {KNEE}",
         WHERE,
         f"that difference for M_R > {KNEE} less that for others, {policy}",
-        wider(),
-        "+.2f",
+        _wider(held),
+        DECIBELS,
     )
-    yield claim(
-        "the RIS enhances the channels",
-        WHERE,
-        f"gain in dB of the {gain} over M_R = 0, QoS, {starts}",
-        improved(),
-        "+.2f",
-    )
+    over_none = f"gain in dB of the {gain} over M_R = 0, QoS, {starts}"
+    yield claim("the RIS enhances the channels", WHERE, over_none, _improved(held), DECIBELS)
+
+
+def _sides(held: Held) -> list[int]:
+    return sorted({side for _, side, _ in held})
+
+
+def _at(side: int) -> dict[str, str]:
+    return {"M_R": f"M_R = {side}"}
+
+
+def _ratio(held: Held, name: str, metric: str) -> Pairs:
+    """By how much a measure is larger with one metric than with the other, in %."""
+    other = QOE if metric == QOS else QOS
+    for side in _sides(held):
+        yield _at(side), 100.0 * (held[metric, side, name] / held[other, side, name] - 1.0)
+
+
+def _better_db(held: Held, side: int) -> Floats:
+    return np.asarray(held[QOS, side, "gain_db"] - held[QOE, side, "gain_db"])
+
+
+def _channels(held: Held) -> Pairs:
+    for side in _sides(held):
+        yield _at(side), _better_db(held, side)
+
+
+def _wider(held: Held) -> Pairs:
+    small, large = ([s for s in _sides(held) if (s > KNEE) == above] for above in (False, True))
+    if small and large:
+        means = [
+            np.mean([_better_db(held, side) for side in part], axis=0) for part in (small, large)
+        ]
+        yield {"M_R": f"M_R > {KNEE}"}, means[1] - means[0]
+
+
+def _improved(held: Held) -> Pairs:
+    sides = _sides(held)
+    for side in sides[1:] if 0 in sides else ():
+        yield _at(side), held[QOS, side, "gain_db"] - held[QOS, 0, "gain_db"]
