@@ -33,9 +33,9 @@ def check_again(kept: Kept, folder: Path) -> None:
     """Trains the first ticks of a run again and compares the total rewards of its episodes.
 
     They are the same to the bit with the versions and the processor that computed them. Elsewhere
-    the last digits of a network's values differ, and once that has changed a robot's choice
-    episodes part: then the first one, nearly all of which is random, has to agree to .1 %, and the
-    mean of all of them to 15 %.
+    the last digits of a network's values differ, which may change a robot's choice here and there
+    (a learning rate that is 1e-7 larger changes none of them in 1,000 ticks, one that is a tenth
+    larger changes the mean by .15 %): the first episode has to agree, and the mean to 2 %.
     """
     found = repeat.again(kept, folder).metrics()
     count = len(kept.rewards)
@@ -44,8 +44,8 @@ def check_again(kept: Kept, folder: Path) -> None:
         assert found["tick"][:count].tolist() == kept.ticks.tolist()
         assert found["reward"][:count].tolist() == kept.rewards.tolist()
     else:
-        assert found["reward"][0] == pytest.approx(kept.rewards[0], rel=1e-3)
-        assert found["reward"][:count].mean() == pytest.approx(kept.rewards.mean(), rel=0.15)
+        assert found["reward"][0] == pytest.approx(kept.rewards[0], rel=1e-6)
+        assert found["reward"][:count].mean() == pytest.approx(kept.rewards.mean(), rel=0.02)
 
 
 def check_files(results: Path) -> None:
