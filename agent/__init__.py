@@ -47,7 +47,9 @@ from agent.storage import (
     checkpoints,
     digest,
     load_checkpoint,
+    naming,
     save_checkpoint,
+    write_whole,
 )
 from agent.streams import generator_state, restore_generator
 from agent.threads import single_threaded
@@ -74,9 +76,11 @@ __all__ = [
     "generator_state",
     "goes_together",
     "load_checkpoint",
+    "naming",
     "problems",
     "q_values",
     "restore_generator",
     "save_checkpoint",
     "single_threaded",
+    "write_whole",
 ]

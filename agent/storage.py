@@ -10,8 +10,9 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ _NAME = re.compile(r"checkpoint-(\d{12})\.safetensors")
 
 
 class CheckpointError(Exception):
-    """A checkpoint that is missing, cut short or changed."""
+    """A checkpoint that is missing, cut short, changed or another's."""
 
 
 def digest(weights: NDArray[np.floating]) -> str:
@@ -58,18 +59,16 @@ def save_checkpoint(
 
     Returns:
         The file.
+
+    Raises:
+        OSError: it cannot be written; those that were there stay. The message names the file.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     text = json.dumps(dict(meta), sort_keys=True, allow_nan=False)
     path = _path(folder, step)
-    written = path.with_suffix(".writing")
-    with written.open("wb") as file:
-        file.write(save(contiguous, {"meta": text, "sha256": _seal(step, contiguous, text)}))
-        file.flush()
-        os.fsync(file.fileno())
-    written.replace(path)
-    _flush_folder(folder)
+    content = save(contiguous, {"meta": text, "sha256": _seal(step, contiguous, text)})
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content)
     for old in [s for s in checkpoints(folder) if s <= step][:-KEPT]:
         _path(folder, old).unlink()
     return path
@@ -121,18 +120,21 @@ def checkpoints(folder: Path) -> list[int]:
     return sorted(int(m[1]) for m in map(_NAME.fullmatch, os.listdir(folder)) if m)
 
 
-def load_checkpoint(folder: Path, step: int) -> tuple[Arrays, dict[str, Json]]:
+def load_checkpoint(
+    folder: Path, step: int, owner: Mapping[str, Json] | None = None
+) -> tuple[Arrays, dict[str, Json]]:
     """Reads a checkpoint.
 
     Args:
         folder: where it was saved.
         step: which.
+        owner: values that its metadata must not contradict, such as whose it is.
 
     Returns:
         Its arrays and its metadata.
 
     Raises:
-        CheckpointError: it is missing, cut short or changed; others are not affected.
+        CheckpointError: it is missing, cut short, changed or another's; others are not affected.
     """
     path = _path(folder, step)
     try:
@@ -146,7 +148,45 @@ def load_checkpoint(folder: Path, step: int) -> tuple[Arrays, dict[str, Json]]:
     text = header.get("meta", "")
     if header.get("sha256") != _seal(step, arrays, text):
         raise CheckpointError(f"checkpoint {path} was changed: its digest does not match")
-    return arrays, json.loads(text)
+    meta: dict[str, Json] = json.loads(text)
+    for name, value in (owner or {}).items():
+        if meta.get(name, value) != value:
+            raise CheckpointError(
+                f"checkpoint {path} is that of {name} {meta[name]}, not of {name} {value}"
+            )
+    return arrays, meta
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Puts a file in its place so that it appears whole or not at all, and outlasts a crash.
+
+    Raises:
+        OSError: it cannot be written; nothing of it is left, and the message names the file.
+    """
+    written = path.with_suffix(".writing")
+    with naming(path):
+        try:
+            with written.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            written.replace(path)
+        except OSError:
+            with suppress(OSError):  # what was half written would keep a full disk full
+                written.unlink(missing_ok=True)
+            raise
+        _flush_folder(path.parent)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Lets an error of the system say which file it is about: that of a full disk does not."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def _path(folder: Path, step: int) -> Path:

@@ -163,15 +163,25 @@ class Server:
 def deployment(*, quick: bool = False) -> list[Result]:
     """Measures ``link_share``, ``lockstep_efficiency`` and what belongs to them."""
     single_threaded()
+    return _results(*_measured(configured(), quick))
+
+
+def measured_efficiency(config: Config, *, quick: bool = False) -> NDArray[np.float64]:
+    """``lockstep_efficiency`` of each block, for any number of robots, shape (blocks,)."""
+    times, _, _ = _measured(config, quick)
+    return np.array(times.wall[Mode.FREE]) / np.array(times.wall[Mode.LOCKSTEP])
+
+
+def _measured(config: Config, quick: bool) -> tuple[Times, dict[Mode, NDArray[np.float64]], int]:
+    """Times of all blocks, processor time of all processes by mode, and steps of a block."""
     steps, blocks = (100, 2) if quick else (300, 9)
-    config = configured()
     assert steps % config.federation.every == 0
     assert steps < SPAN
     times = Times()
     with connected_clients(config) as clients:
         _play_blocks(Server(config, clients.link, steps), times, blocks)
         cpu = _processor_time(clients, times)
-    return _results(times, cpu, steps)
+    return times, cpu, steps
 
 
 def _play_blocks(server: Server, times: Times, blocks: int) -> None:

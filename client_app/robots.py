@@ -33,6 +33,7 @@ class RobotGroup:
 
     Attributes:
         robots: the same.
+        run: the run's identity, None where it has none.
         agents: their DQNs.
         parameters: P, of one network.
         window: the window of the last step.
@@ -41,7 +42,7 @@ class RobotGroup:
     def __init__(
         self, config: Config, robots: Sequence[int], make_learner: MakeLearner = Learner
     ) -> None:
-        self.robots = tuple(robots)
+        self.robots, self.run = tuple(robots), config.run.id
         self._epsilon = config.agent.epsilon
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         self._slice = Slice(config.env, destinations[list(robots)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -18,8 +19,10 @@ from agent import (
 )
 from client_app.robots import RobotGroup
 from conf import Config
-from conf.places import robot_folder, robot_windows, round_folder
+from conf.places import robot_folder, robot_owner, robot_windows, round_folder
 from env.link import Step, Want
+
+log = logging.getLogger(__name__)
 
 
 class Keeper:
@@ -79,15 +82,14 @@ class Keeper:
         self._save()
         self._writer.wait()
         robots = self._group.robots
-        places = [robot_windows(self._state, robot) for robot in robots]
-        common = sorted(set(places[0]).intersection(*places[1:]))
-        return [w for w in common if all(_is_whole(place[w], w) for place in places)]
+        kept = [_whole_windows(self._state, robot, self._config.run.id) for robot in robots]
+        return sorted(frozenset.intersection(*kept))
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See ``Robots.begin``.
 
         Raises:
-            CheckpointError: the window's checkpoint is missing or damaged.
+            CheckpointError: the window's checkpoint is missing, damaged or another's.
             OSError: a checkpoint could not be written before.
         """
         self._writer.wait()
@@ -128,12 +130,17 @@ class Keeper:
             self._writer.wait()
 
 
-def _is_whole(folder: Path, window: int) -> bool:
-    try:
-        load_checkpoint(folder, window)
-    except CheckpointError:
-        return False
-    return True
+def _whole_windows(state: Path, robot: int, run: str | None) -> frozenset[int]:
+    """The windows of which a robot has a checkpoint that is whole and its own."""
+    whole = set()
+    for window, folder in robot_windows(state, robot).items():
+        try:
+            load_checkpoint(folder, window, robot_owner(run, robot))
+        except CheckpointError as error:
+            log.warning("robot %d cannot go on from window %d: %s", robot, window, error)
+        else:
+            whole.add(window)
+    return frozenset(whole)
 
 
 def held_robots(state: Path, robots: int) -> list[int]:
@@ -164,18 +171,18 @@ def save_state(
     """
     for index, robot in enumerate(group.robots):
         arrays = group.agents.agent_state(index)
-        save(place(state, robot), window, arrays, {"robot": robot})
+        save(place(state, robot), window, arrays, robot_owner(group.run, robot))
 
 
 def load_state(group: RobotGroup, state: Path, window: int) -> None:
     """Restores each robot from its checkpoint of a window.
 
     Raises:
-        CheckpointError: it is missing or damaged.
+        CheckpointError: it is missing, damaged or another's.
     """
     for index, robot in enumerate(group.robots):
         folder = robot_windows(state, robot).get(window)
         if folder is None:
             raise CheckpointError(f"{robot_folder(state, robot)} holds no checkpoint {window}")
-        arrays, _ = load_checkpoint(folder, window)
+        arrays, _ = load_checkpoint(folder, window, robot_owner(group.run, robot))
         group.agents.restore_agent(index, arrays)

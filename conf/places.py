@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from agent import checkpoints
+from agent.storage import Json
 
 STATE = "state"
 """The folder of checkpoints, below a run's."""
@@ -34,3 +35,17 @@ def robot_windows(state: Path, robot: int) -> dict[int, Path]:
     """The windows of which a robot has a checkpoint, and the folder of each."""
     folders = (round_folder(state, robot), robot_folder(state, robot))
     return {window: folder for folder in folders for window in checkpoints(folder)}
+
+
+def owner(run: str | None) -> dict[str, Json]:
+    """What a checkpoint's metadata say of the run that it belongs to.
+
+    Args:
+        run: its identity; None where it has none.
+    """
+    return {} if run is None else {"run": run}
+
+
+def robot_owner(run: str | None, robot: int) -> dict[str, Json]:
+    """The same of a robot's checkpoint."""
+    return {**owner(run), "robot": robot}

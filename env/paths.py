@@ -64,7 +64,7 @@ def ways_to(after: NDArray[np.int64], goal: int, moves: NDArray[np.bool_]) -> ND
     ways = np.zeros((slots + 1, len(after)), dtype=bool)
     ways[slots, goal] = True
     for slot in reversed(range(slots)):
-        ways[slot] = (moves[slot] & ways[slot + 1][after]).any(axis=-1)
+        ways[slot] = np.logical_or.reduce((moves[slot] & ways[slot + 1][after]).T)
         if slot:
             ways[slot, goal] = False
     return ways
@@ -94,7 +94,7 @@ def best_way(
     Args:
         after: the cell that each move leads to, shape (cells, 4).
         start: the first cell.
-        stage: what a slot in a cell brings, shape (T, cells).
+        stage: what a slot in a cell brings, -inf where a path may not be, shape (T, cells).
         moves: which moves are free, shape (at least T, cells, 4).
         ways: ``ways_to`` of the destination, shape (T + 1, cells).
 
@@ -106,9 +106,11 @@ def best_way(
     value = np.where(ways[slots], 0.0, -np.inf)
     choice = np.zeros((slots, len(after)), dtype=np.int64)
     for slot in reversed(range(slots)):
-        follow = np.where(moves[slot], value[after], -np.inf)
-        choice[slot] = follow.argmax(axis=-1)
-        value = np.where(ways[slot], stage[slot] + follow.max(axis=-1), -np.inf)
+        cells = np.flatnonzero(ways[slot] & (stage[slot] > -np.inf))  # few of all
+        follow = np.where(moves[slot, cells], value[after[cells]], -np.inf)
+        choice[slot, cells] = follow.argmax(axis=-1)
+        value = np.full(len(after), -np.inf)
+        value[cells] = stage[slot, cells] + follow.max(axis=-1)
     total, cell, path = float(value[start]), start, np.zeros(slots, dtype=np.int64)
     for slot in range(slots):
         path[slot] = choice[slot, cell]

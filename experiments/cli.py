@@ -15,6 +15,7 @@ usage: risfleet COMMAND ...
   evaluate RUN [options]     play a run's frozen weights on held-out starts; or, in the place of
                              RUN, baseline=shortest_canonical and others that learn nothing
   oracle RUN | KEY=VALUE ... what oracles reach, and a run's gap to them
+  reproduce TARGET           the paper's figures and other tables: trains what they need
   status RUN                 where a run is
   map [KEY=VALUE ...]        what the RIS gains on a radio map; --out FILE.png draws it
   keys DIR [options]         makes the certificates and keys of a secured fleet
@@ -104,6 +105,12 @@ def _oracle(arguments: Sequence[str]) -> int:
     return main(arguments)
 
 
+def _reproduce(arguments: Sequence[str]) -> int:
+    from experiments.reproduce.command import main
+
+    return main(arguments)
+
+
 def _status(arguments: Sequence[str]) -> int:
     from experiments.status import main
 
@@ -126,6 +133,7 @@ _COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "train": _train,
     "evaluate": _evaluate,
     "oracle": _oracle,
+    "reproduce": _reproduce,
     "status": _status,
     "map": _map,
     "keys": _keys,

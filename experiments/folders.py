@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from conf import Config, ConfigError
+from server_app import resume
 
 
 def new_folder(config: Config) -> Path:
@@ -42,7 +43,7 @@ def check_unused(folder: Path) -> None:
 
 
 def placed(config: Config, folder: Path) -> tuple[Config, Path]:
-    """A configuration that says where its run is, and the folder, absolute, which is made.
+    """A configuration that names its run and says where it is, and that folder, which is made.
 
     Raises:
         ConfigError: it cannot be made.
@@ -53,7 +54,7 @@ def placed(config: Config, folder: Path) -> tuple[Config, Path]:
     except OSError as error:
         allowed = f"a folder that can be made ({error.strerror})"
         raise ConfigError.of([("run.dir", folder, allowed)]) from error
-    run = dataclasses.replace(config.run, dir=str(folder))
+    run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
     return dataclasses.replace(config, run=run), folder
 
 

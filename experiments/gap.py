@@ -91,13 +91,19 @@ def _played(
     return tally.measures()
 
 
-def trajectory_measures(evaluator: Evaluator, slack: int, each: Each = iter) -> EpisodeMeasures:
+def trajectory_measures(
+    evaluator: Evaluator,
+    slack: int,
+    each: Each = iter,
+    watch: Callable[[World, Served], object] = lambda world, served: None,
+) -> EpisodeMeasures:
     """Plans every held-out episode and plays the plans.
 
     Args:
         evaluator: the held-out episodes.
         slack: extra slots that a robot may take.
         each: goes through the starts, and may show how far it is.
+        watch: is shown the world in every slot before it moves on, with what is served in it.
 
     Returns:
         The measures of the plans.
@@ -112,6 +118,7 @@ def trajectory_measures(evaluator: Evaluator, slack: int, each: Each = iter) -> 
             np.stack([getattr(plan, part)[i] for plan, i in zip(plans, at, strict=True)])
             for part in ("phase", "direction", "level")
         )
+        watch(world, (phase, level))
         tally.add(world.step(phase, direction, level))
     return tally.measures()
 

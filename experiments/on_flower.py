@@ -65,7 +65,7 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     """Trains on Flower: on processes of this run's own, which end with it, or on a federation.
 
     Args:
-        config: the run's configuration, with an absolute ``run.dir``.
+        config: the run's configuration, with an absolute ``run.dir`` and a ``run.id``.
         folder: the run's folder.
         resumed: where the run goes on, if it does not begin.
 
@@ -75,9 +75,8 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     Raises:
         FlowerError: Flower or the run failed; the message holds the end of the log.
     """
-    run = dataclasses.replace(config.run, id=config.run.id or resume.new_id())
     federation = dataclasses.replace(config.federation, clients=flower_clients(config))
-    config = dataclasses.replace(config, run=run, federation=federation)
+    config = dataclasses.replace(config, federation=federation)
     write_atomically(folder / "config.yaml", to_yaml(config))
     try:
         restarts = _persevere(config, folder, resumed)
@@ -127,7 +126,7 @@ def _persevere(config: Config, folder: Path, resumed: Checkpoint | None) -> list
 def _last(config: Config, folder: Path) -> Checkpoint | None:
     """Where a run goes on that was cut off; None if it must begin again."""
     try:
-        return latest(folder / STATE, config.env.robots)
+        return latest(folder / STATE, config.env.robots, config.run.id)
     except CheckpointError:
         (folder / "metrics.csv").unlink(missing_ok=True)  # or it would not be taken for a new run
         return None

@@ -11,13 +11,16 @@ from typing import Any
 
 from rich.console import Console
 
+from agent import checkpoints
 from conf import Config, ConfigError
+from conf.places import STATE, server_folder
 from env.link import LinkError
 from env.plugins import PluginError
 from experiments import local, on_flower, together
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
 from experiments.folders import alone, clear, placed
+from server_app import resume
 from server_app.checkpoint import Checkpoint
 from server_app.session import STOP_FILE
 
@@ -34,8 +37,11 @@ RUNTIMES: dict[str, Runtime] = {
 
 
 def say(error: Exception) -> int:
-    """Prints what ended a run or kept it from starting; returns the exit status."""
-    print(f"risfleet: {error}", file=sys.stderr)
+    """Prints what ended a run or kept it from starting; returns the exit status.
+
+    How to go on is said, too, where it is known.
+    """
+    print(f"risfleet: {error}", *getattr(error, "__notes__", []), sep="\n", file=sys.stderr)
     return 2 if isinstance(error, ConfigError | PluginError) else 1
 
 
@@ -54,10 +60,17 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
     config, folder = _shown(config, folder, console)
     with alone(folder):
         if resumed is not None:
+            for reason in resumed.passed_over:
+                console.print(f"passed over: {reason}", highlight=False, soft_wrap=True)
             console.print(f"going on from window {resumed.window}", highlight=False)
             clear(folder)
         with StopOnInterrupt([folder], console) as stop, Display([folder], console):
-            summary = RUNTIMES[config.runtime.name](config, folder, resumed)
+            try:
+                summary = RUNTIMES[config.runtime.name](config, folder, resumed)
+            except ERRORS as error:
+                if checkpoints(server_folder(folder / STATE)):
+                    error.add_note(f"To go on: risfleet train {resume.PREFIX}{folder}")
+                raise
     if summary:
         show_summary(console, summary, folder)
     else:

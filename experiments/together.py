@@ -6,6 +6,7 @@ products of gradient steps and of greedy choices. Each ends in the bits that it 
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -30,8 +31,8 @@ def train(
     """Trains runs side by side in this process, until the last one has ended.
 
     Each of them leaves in its folder what ``risfleet train`` would have left. Where there is no
-    stack to share (see ``can_share``), runs follow one another. A file
-    named ``stop`` in a run's folder ends that run at its next aggregation. Nothing is printed.
+    stack to share (see ``can_share``), runs follow one another. A file named ``stop`` in a run's
+    folder ends that run at its next aggregation. Nothing is printed.
 
     Args:
         configs: checked configurations with ``runtime=local`` whose agents are alike: those of
@@ -53,7 +54,9 @@ def train(
                 check_local(run[0])
                 config, folder = placed(*run)
                 held.enter_context(alone(folder))
-                resumed = _resumed(config, folder) if missing else None
+                resumed = None
+                if missing:
+                    config, resumed = _resumed(config, folder)
             except Exception as error:
                 endings[index] = error
             else:
@@ -89,8 +92,12 @@ def can_share(config: Config) -> bool:
     return robots_learn(config) and goes_together(config.agent)
 
 
-def _resumed(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None:
+def _resumed(config: Config, folder: Path) -> tuple[Config, dict[str, Any] | Checkpoint | None]:
     """What a run has come to, or where it goes on, its folder made ready for that.
+
+    Returns:
+        The configuration, with the identity that the run has had so far, and what
+        ``resume.standing`` says.
 
     Raises:
         ConfigError: see ``resume.standing``.
@@ -98,7 +105,10 @@ def _resumed(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None
     found = resume.standing(config, folder)
     if not isinstance(found, dict):
         clear(folder, whole=found is None)
-    return found
+    if isinstance(found, Checkpoint):
+        identity = found.meta.get("run")
+        config = dataclasses.replace(config, run=dataclasses.replace(config.run, id=identity))
+    return config, found
 
 
 def _side_by_side(members: Sequence[_Member]) -> None:

@@ -7,8 +7,8 @@ whole on every side, and goes on from there to the bits of a run that was never 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import CheckpointError, Writer, checkpoints, load_checkpoint
-from conf.places import robot_windows, server_folder
+from conf.places import owner, robot_owner, robot_windows, server_folder
 
+log = logging.getLogger(__name__)
 State = Mapping[str, NDArray[Any]]
 
 
@@ -30,11 +31,13 @@ class Checkpoint:
         window: windows that had been played.
         arrays: the coordinator's, see ``Coordinator.state``.
         meta: counters, and what the run had cost.
+        passed_over: what is wrong with newer ones, a sentence each.
     """
 
     window: int
     arrays: State
     meta: dict[str, Any]
+    passed_over: tuple[str, ...] = ()
 
     @property
     def model(self) -> NDArray[np.float32] | None:
@@ -54,12 +57,13 @@ def save_server(
     writer.save(server_folder(state), window, arrays, meta)
 
 
-def latest(state: Path, robots: int) -> Checkpoint:
+def latest(state: Path, robots: int, run: str | None = None) -> Checkpoint:
     """The newest checkpoint that the server and every robot have, whole and unchanged.
 
     Args:
         state: the run's folder of checkpoints.
         robots: K; 0 where their checkpoints lie on other machines.
+        run: the run's identity; None takes any.
 
     Raises:
         CheckpointError: there is none; the message says what is wrong with the newest one.
@@ -67,29 +71,32 @@ def latest(state: Path, robots: int) -> Checkpoint:
     places = [robot_windows(state, robot) for robot in range(robots)]
     whom = f"the server and all {robots} robots have" if robots else "the server has"
     common = set(checkpoints(server_folder(state))).intersection(*places)
-    trouble: CheckpointError | None = None
+    trouble: list[CheckpointError] = []
     for window in sorted(common, reverse=True):
         try:
-            for place in places:
-                load_checkpoint(place[window], window)
-            arrays, meta = load_checkpoint(server_folder(state), window)
+            for robot, place in enumerate(places):
+                load_checkpoint(place[window], window, robot_owner(run, robot))
+            arrays, meta = load_checkpoint(server_folder(state), window, owner(run))
         except CheckpointError as error:
-            trouble = trouble or error
+            trouble.append(error)
         else:
-            return Checkpoint(window, arrays, meta)
-    raise trouble or CheckpointError(f"{state} holds no checkpoint that {whom}")
+            return Checkpoint(window, arrays, meta, tuple(map(str, trouble)))
+    raise trouble[0] if trouble else CheckpointError(f"{state} holds no checkpoint that {whom}")
 
 
-def newest(state: Path, windows: Iterable[int]) -> Checkpoint | None:
+def newest(state: Path, windows: Iterable[int], run: str | None = None) -> Checkpoint | None:
     """The newest of the server's checkpoints of these windows that is whole, if one is.
 
     Args:
         state: the run's folder of checkpoints.
         windows: those that may be taken.
+        run: the run's identity; None takes any.
     """
     for window in sorted(windows, reverse=True):
-        with suppress(CheckpointError):
-            return Checkpoint(window, *load_checkpoint(server_folder(state), window))
+        try:
+            return Checkpoint(window, *load_checkpoint(server_folder(state), window, owner(run)))
+        except CheckpointError as error:
+            log.warning("the server cannot go on from window %d: %s", window, error)
     return None
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from conf import Config, robot_network, to_yaml, waits_for_the_lost
 from env.link import LinkServer, RobotLost
-from env.link.errors import named
+from env.link.errors import named, one_line
 from server_app.nodes import Block, RoundError, deal, held_by, placed
 
 log = logging.getLogger(__name__)
@@ -27,6 +27,8 @@ log = logging.getLogger(__name__)
 TOKEN_BYTES = 32
 TEND_S = 1.0
 SURVEY_S = 60.0
+DIED = "ActorDiedError"
+"""What Flower's reason for a missing reply holds where one of Ray's processes was killed."""
 MOST_FAILURES = 5
 """Messages to one client that may fail in a row before the run is given up."""
 
@@ -123,9 +125,14 @@ class Clients:
         """Takes the replies that have come.
 
         Raises:
+            RobotLost: the process of a client died.
             RoundError: a client failed.
         """
         for block, reason in self._collect().items():
+            if DIED in reason:
+                window = self._opening.window
+                where = f"in round {self.round}, which began after window {window}"
+                raise RobotLost(block, where, "its process died without a word")
             raise RoundError(self._failure(block, reason))
 
     def tend(self) -> None:
@@ -157,8 +164,8 @@ class Clients:
         """The clients that have not replied in this round.
 
         Raises:
-            RobotLost: one has ended without a reply, where the run waits for the lost.
-            RoundError: the same, where it does not.
+            RobotLost: one has ended without a reply, where the run waits for the lost, or died.
+            RoundError: one failed, where the run does not wait.
         """
         where = f"at the end of round {self.round}"
         if not self._waits:
@@ -172,6 +179,8 @@ class Clients:
             for block in waiting:
                 if self.places[block] not in online:
                     raise RobotLost(block, where, "its Flower node has gone")
+                if block not in self._pending:  # it came back to the link by itself, too late
+                    raise RobotLost(block, where, "Flower had given it up and takes no reply")
         return waiting
 
     def uploads(self) -> NDArray[np.float32]:
@@ -252,7 +261,8 @@ class Clients:
         return failed
 
     def _failure(self, block: Block, reason: str) -> str:
-        return f"round {self.round}: the Flower client of {named(block)} failed: {reason}"
+        said = one_line(reason)
+        return f"round {self.round}: the Flower client of {named(block)} failed: {said}"
 
     # --- Replacing --------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from conf import Config, waits_for_the_lost
 from conf.places import STATE, server_folder
 from conf.run_log import log_lines
 from env.link import LinkServer, LinkTimeout, RobotLost
+from env.link.errors import named
 from server_app.checkpoint import Checkpoint, newest
 from server_app.clients import Clients
 from server_app.nodes import Block, RoundError
@@ -46,6 +47,7 @@ class Lifeline:
 
     def __init__(self, config: Config, folder: Path, link: LinkServer, clients: Clients) -> None:
         self._config, self._folder, self._clients = config, folder, clients
+        self._link = link
         self._fleet = FlowerFleet(config, link, clients, self._on_round)
         self._session: Session | None = None
         self._losses: list[dict[str, Any]] = []
@@ -105,11 +107,13 @@ class Lifeline:
         """
         common = self._fleet.assemble(places)
         own = checkpoints(server_folder(self._folder / STATE))
-        checkpoint = newest(self._folder / STATE, {*common} & {*own})
+        checkpoint = newest(self._folder / STATE, {*common} & {*own}, self._config.run.id)
         if checkpoint is None and len(own) > EARLY:
+            held = [f"{named(block)}: {_listed(kept)}" for block, kept in self._link.kept().items()]
             raise RoundError(
                 f"the robots have no checkpoint in common with the server, which has those of"
-                f" windows {', '.join(map(str, own))}: is each SuperNode's state-dir as it was?"
+                f" windows {_listed(own)} ({'; '.join(held)}): is each SuperNode's state-dir as it"
+                " was? Its log names the files that are damaged"
             )
         return checkpoint
 
@@ -117,3 +121,7 @@ class Lifeline:
         self._about.round = number
         if self._session is not None:
             self._session.recorder.round = number
+
+
+def _listed(windows: Iterable[int]) -> str:
+    return ", ".join(map(str, sorted(windows))) or "none"

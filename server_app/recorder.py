@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import CheckpointError, epsilon_at
+from agent import CheckpointError, epsilon_at, naming
 from conf import Config, to_yaml
 from env.tally import EpisodeMeasures
 from server_app.coordinator import Progress
@@ -50,7 +50,7 @@ def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
         durable: whether it must outlast a crash of the machine.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("w", newline="") as file:
+    with naming(path), temporary.open("w", newline="") as file:
         file.write(text)
         file.flush()
         if durable:
@@ -314,22 +314,25 @@ class _CsvLog:
         whole.writeheader()
         whole.writerows(self.kept)
         write_atomically(path, text.getvalue())
-        self._file = path.open("a", newline="")
+        self._path, self._file = path, path.open("a", newline="")
         self._writer = csv.DictWriter(self._file, columns, extrasaction="ignore")
 
     def write(self, row: dict[str, float]) -> None:
         """Adds a row; columns that it lacks stay empty."""
-        self._writer.writerow(row)
-        self._file.flush()
+        with naming(self._path):
+            self._writer.writerow(row)
+            self._file.flush()
 
     def sync(self) -> None:
         """Waits until all rows outlast a crash of the machine."""
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        with naming(self._path):
+            self._file.flush()
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Closes the file."""
-        self._file.close()
+        """Closes the file, which holds every row that could be written."""
+        with suppress(OSError):  # of a full disk, which `write` has told already
+            self._file.close()
 
 
 def check_files(folder: Path, marks: Mapping[str, Any]) -> None:

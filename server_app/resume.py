@@ -91,7 +91,7 @@ def standing(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None
     over = found is not None
     if found is None:
         try:
-            checkpoint = _checkpoint(folder, config)
+            checkpoint = _checkpoint(folder, own)
         except CheckpointError:
             return None
         found, over = checkpoint, _is_over(config, *_counts(checkpoint))
@@ -122,7 +122,7 @@ def _checkpoint(folder: Path, config: Config) -> Checkpoint:
     """
     elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
     kept = robots_learn(config) and not elsewhere
-    checkpoint = latest(folder / STATE, config.env.robots if kept else 0)
+    checkpoint = latest(folder / STATE, config.env.robots if kept else 0, config.run.id)
     check_files(folder, checkpoint.meta["marks"])
     if checkpoint.meta["fingerprint"] != fingerprint(config.env):
         raise ConfigError(

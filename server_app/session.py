@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -13,11 +12,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
-from agent import Learner, MakeLearner, Writer, digest, single_threaded
+from agent import Learner, MakeLearner, Writer, digest, single_threaded, write_whole
 from conf import Config, fingerprint, robot_network, robots_learn, version
-from conf.places import STATE
+from conf.places import STATE, owner
 from env.drawing import trajectory_figure
 from env.link import Fleet
 from env.radio_map import build_radio_map
@@ -220,6 +219,7 @@ class Session:
             "waited_s": run.waited_s,
         }
         meta = {
+            **owner(self.config.run.id),
             "spent": spent,
             "costs": asdict(self._costs()),
             "marks": self.recorder.marks(),
@@ -307,11 +307,8 @@ class Session:
 
 def save_weights(path: Path, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
     """Writes the final weights: ``robots`` (K, 2, P) and ``ap`` (2, P_AP), online then target."""
-    temporary = path.with_name(f".{path.name}")
-    save_file({"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}, temporary)
-    with temporary.open("rb") as file:
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    arrays = {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}
+    write_whole(path, save(arrays))
 
 
 def to_json(values: dict[str, Any]) -> str:

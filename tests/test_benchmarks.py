@@ -10,7 +10,9 @@ from agent import checkpoints
 from benchmarks import distance, memory
 from benchmarks.__main__ import known, main
 from benchmarks.local import configured
+from benchmarks.lockstep import PartedRun, Tick, shortest
 from benchmarks.prices import Kept, fill
+from benchmarks.sockets import echoing
 from client_app.robots import RobotGroup
 from conf.places import robot_folder, server_folder
 
@@ -37,6 +39,8 @@ def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):
         ("runs", "runs"),
         ("deployment_vs_simulation", "runs"),
         ("tls_us", "prices"),
+        ("lockstep_efficiency", "deployment"),
+        ("lockstep_of_bound_k3", "lockstep"),
     ],
 )
 def test_a_result_chooses_the_benchmark_that_finds_it(result, benchmark):
@@ -99,3 +103,29 @@ def test_memory_is_told_apart_by_what_a_process_is_to_flower(tmp_path, monkeypat
     assert [memory._role(tmp_path / str(pid)) for pid in commands] == [
         "superlink", "supernode", "superlink_superexec", "supernode_superexec", "client_app", "",
     ]  # fmt: skip
+
+
+def test_no_schedule_beats_the_bound_on_lockstep():
+    tick = Tick(serial=100e-6, ap=200e-6, robots=np.full(3, 200e-6), exchange=50e-6)
+    assert tick.bound(2) == pytest.approx(450 / (100 + 50 + 400))  # 900 us of work on two cores
+    assert tick.bound(4) == pytest.approx(300 / (100 + 50 + 200))  # the server's own 300 us
+    assert tick.bound(1) == pytest.approx(900 / 950)  # one core is never idle but for the exchange
+    free = Tick(serial=0.0, ap=0.0, robots=np.array([200e-6]), exchange=0.0)
+    assert free.bound(2) == 1.0
+
+
+def test_the_parts_of_a_tick_are_timed_apart():
+    run = PartedRun(configured("agent.hidden=[8]", "agent.replay_size=300"))
+    serial_s, ap_s, robots_s = run.parts(150)
+    assert robots_s.shape == (3,)
+    assert min(serial_s, ap_s, *robots_s) > 0
+
+
+def test_bare_sockets_answer_each_exchange():
+    with echoing(2, (40, 20)) as bare:
+        bare(20)
+
+
+def test_the_shortest_time_is_that_of_the_largest_piece_or_of_full_cores():
+    assert shortest([3.0, 1.0, 1.0], 2) == 3.0
+    assert shortest([2.0, 2.0, 2.0], 2) == 3.0

@@ -102,25 +102,23 @@ class Exchange:
     def halt(self) -> list[int]:
         """Make all clients drop what is under way; returns the checkpoints that all have."""
         self.turn = Turn()
-        windows = self._order(Halt(self._orders + 1))
-        return sorted(frozenset.intersection(*windows))
+        self._order(Halt(self._orders + 1))
+        return sorted(frozenset.intersection(*(seat.windows for seat in self.seats.values())))
 
-    def _order(self, order: Halt | Begin) -> list[frozenset[int]]:
-        """Send all clients an order that ends what is under way; returns what their `Ready` say."""
+    def _order(self, order: Halt | Begin) -> None:
+        """Send all clients an order that ends what is under way; keeps what their `Ready` say."""
         self._orders = order.number
         frame = encode(order)
         for seat in self.seats.values():
             seat.stale = True
             self.send(seat, frame, awaited=True)
-        windows: list[frozenset[int]] = []
 
         def accept(seat: Seat, frame: memoryview) -> None:
             ready = decode(frame)
             assert isinstance(ready, Ready)
-            windows.append(frozenset(ready.windows))
+            seat.windows = frozenset(ready.windows)
 
         self.gather(accept)
-        return windows
 
     def send(self, seat: Seat, frame: bytes, awaited: bool) -> None:
         """Send a frame to a client; `awaited` says whether an answer is due."""

@@ -44,6 +44,7 @@ class Seat:
         self.stats = stats
         self.wire: Wire | None = None
         self.awaited = False
+        self.windows: frozenset[int] = frozenset()  # of its last `Ready`
         self.stale = False  # what comes is older than the last `Halt` or `Begin`
 
     def records(self, fleet: bytes) -> bytes:

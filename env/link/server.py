@@ -131,6 +131,10 @@ class LinkServer:
         """
         return self._open.halt()
 
+    def kept(self) -> dict[tuple[int, ...], frozenset[int]]:
+        """The windows of which each client has its robots' checkpoints, as `halt` has found."""
+        return {block: seat.windows for block, seat in self._open.seats.items()}
+
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`; once all clients are connected, whatever was under way."""
         self._open.begin(window, model if model is None else checked_weights(model, self._shape))

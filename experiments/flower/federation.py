@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from experiments.flower import commands
 from experiments.flower.environment import (
     HOST,
     FlowerError,
-    ProcessLostError,
     flower_command,
     free_port,
 )
@@ -25,6 +24,8 @@ _EXECUTOR = "flower-superexec"
 _MOST_RESTARTS = 5
 _STEADY_S = 60.0
 """A SuperNode that lived this long is not one that cannot live."""
+_LAST_WORDS_S = 10.0
+"""For the ServerApp to say which robots a dead SuperNode held, before all is ended."""
 
 
 @dataclass
@@ -38,6 +39,7 @@ class _Node:
         began: when it was started, monotonic, in s.
         restarts: in a row, none of which lived long.
         complete: whether the process that starts its clients has been seen.
+        family: itself and all below it, as last seen.
     """
 
     number: int
@@ -46,6 +48,7 @@ class _Node:
     began: float
     restarts: int = 0
     complete: bool = False
+    family: set[Process] = field(default_factory=set)
 
 
 class Federation(SuperLink):
@@ -77,6 +80,8 @@ class Federation(SuperLink):
         self._spare: list[NodeKeys] = []
         self._nodes: list[_Node] = []
         self._has_server_app = False
+        self._lost = ""
+        self._lost_at = 0.0
 
     def _options(self, session: Session) -> list[str]:
         if not self._secure:
@@ -93,11 +98,12 @@ class Federation(SuperLink):
         """Looks after the SuperNodes and says whether the ServerApp has died.
 
         Raises:
-            ProcessLostError: a SuperNode has died and is not to be started anew.
-            FlowerError: one dies again and again.
+            FlowerError: a SuperNode dies again and again.
         """
         for node in self._nodes:
             self._look_after(node)
+        if self._lost and time.monotonic() - self._lost_at > _LAST_WORDS_S:
+            return self._lost
         below = [command(row) for row in members(None, [self._root()])]
         running = any(_SERVER_APP in text for text in below)
         died, self._has_server_app = self._has_server_app and not running, running
@@ -106,19 +112,24 @@ class Federation(SuperLink):
     def _look_after(self, node: _Node) -> None:
         """Starts a SuperNode anew that has died, or cannot start clients any more."""
         code = node.process.poll()
-        executor = any(_EXECUTOR in command(row) for row in members(None, [node.root]))
+        family = members(None, [node.root])
+        node.family = family or node.family
+        executor = any(_EXECUTOR in command(row) for row in family)
         crippled = node.complete and not executor
         node.complete |= executor
         if code is None and not crippled:
             return
         what = f"ended with status {code}" if code is not None else f"lost its {_EXECUTOR}"
         if not self._revive:
-            raise ProcessLostError(f"SuperNode {node.number} {what}.", self._superlink_log())
+            if not self._lost:
+                terminate(None, node.family)  # by its client's end the ServerApp notices
+                self._lost, self._lost_at = f"SuperNode {node.number} {what}", time.monotonic()
+            return
         lived_s = time.monotonic() - node.began
         node.restarts = 0 if lived_s > _STEADY_S else node.restarts + 1
         if node.restarts > _MOST_RESTARTS:
             raise FlowerError(f"SuperNode {node.number} {what} again and again.")
-        terminate(None, [node.root])
+        terminate(None, node.family)
         fresh = self._started(node.number)
         fresh.restarts = node.restarts
         self._nodes[node.number] = fresh

@@ -1,6 +1,7 @@
 """Checkpoints are whole or absent, and damage is seen."""
 
 import os
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -100,6 +101,38 @@ def test_a_crash_while_writing_leaves_the_older_checkpoint(tmp_path, monkeypatch
     assert load_checkpoint(tmp_path, 1)[1] == META
     save_checkpoint(tmp_path, 2, ARRAYS, META)
     assert checkpoints(tmp_path) == [1, 2]
+
+
+def test_what_cannot_be_written_names_the_file_and_leaves_nothing_of_it(tmp_path, monkeypatch):
+    def full(_handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("agent.storage.os.fsync", full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*checkpoint-0*2\.safetensors'"):
+        save_checkpoint(tmp_path, 2, ARRAYS, META)
+    assert os.listdir(tmp_path) == []
+
+
+def test_any_byte_that_is_changed_is_seen_or_changes_nothing(tmp_path):
+    path = save_checkpoint(tmp_path, 1, ARRAYS, META)
+    whole = path.read_bytes()
+    for place in range(len(whole)):
+        for bits in (0x01, 0x20, 0x80):
+            damaged = bytearray(whole)
+            damaged[place] ^= bits
+            path.write_bytes(damaged)
+            with suppress(CheckpointError):
+                arrays, meta = load_checkpoint(tmp_path, 1)
+                assert meta == META
+                assert all(np.array_equal(arrays[name], ARRAYS[name]) for name in ARRAYS)
+
+
+def test_a_checkpoint_of_another_owner_is_refused(tmp_path):
+    save_checkpoint(tmp_path, 1, ARRAYS, {"run": "a", "robot": 2})
+    assert load_checkpoint(tmp_path, 1, {"run": "a", "robot": 2})
+    assert load_checkpoint(tmp_path, 1, {"not": "said"})
+    with pytest.raises(CheckpointError, match=r"is that of robot 2, not of robot 1"):
+        load_checkpoint(tmp_path, 1, {"run": "a", "robot": 1})
 
 
 def test_a_digest_reads_values_in_order_whatever_the_layout():

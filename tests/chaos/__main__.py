@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from chaos import links, report
+from chaos import links, outages, report
 from chaos.attempt import Attempt
 from chaos.crowd import Deck
 from chaos.hosts import obstacle
@@ -25,62 +25,107 @@ SHARES = {"local": 4, "simulation": 3, "deployment": 3}
 
 
 def main() -> int:
-    """Runs the command; 0 if every kill was survived."""
+    """Runs the command; 0 if every kill and every outage was survived, 2 if it is refused."""
+    asked = _parser().parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that all is cleaned up then, too
+    console = Console()
+    why_no_hosts = "" if asked.no_links else obstacle()
+    if asked.hosts and why_no_hosts:
+        print(f"chaos: --hosts cannot be played: {why_no_hosts}", file=sys.stderr)
+        return 2
+    chosen = [] if asked.hosts else [ALL[name] for name in asked.runtimes.split(",")]
+    skipped = [f"{item.name} skipped: {item.missing()}" for item in chosen if item.missing()]
+    skipped += [f"two hosts skipped: {why_no_hosts}"] if why_no_hosts else []
+    for line in skipped:
+        console.print(line, highlight=False)
+    playable = [item for item in chosen if not item.missing()]
+    scratch = Path(tempfile.mkdtemp(prefix="rc-", dir="/tmp"))  # Ray's sockets need short paths
+    try:
+        reference = play_reference(scratch / "r")
+        survived = True
+        if not asked.no_links and not why_no_hosts:
+            survived = _try_hosts(asked.out, reference, scratch, console)
+        if not asked.hosts:
+            survived &= _try_kills(playable, asked, reference, scratch, skipped, console)
+    except KeyboardInterrupt:
+        console.print("Stopped by Ctrl-C.")
+        survived = False
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    return 0 if survived else 1
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="chaos", description=__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--runtimes", default=",".join(ALL))
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"))
-    parser.add_argument("--no-links", action="store_true", help="leave the two hosts out")
-    asked = parser.parse_args()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that all is cleaned up then, too
-    console = Console()
-    chosen = [ALL[name] for name in asked.runtimes.split(",")]
-    skipped = [f"{item.name} skipped: {item.missing()}" for item in chosen if item.missing()]
-    for line in skipped:
-        console.print(line, highlight=False)
-    playable = [item for item in chosen if not item.missing()]
-    if not asked.no_links:
-        _try_links(asked.out, console)
+    parts = parser.add_mutually_exclusive_group()
+    parts.add_argument("--hosts", action="store_true", help="the two hosts alone")
+    parts.add_argument("--no-links", action="store_true", help="leave the two hosts out")
+    return parser
+
+
+def _try_hosts(out: Path, reference: Path, scratch: Path, console: Console) -> bool:
+    """Two hosts, with toy robots and with a deployment; whether that ended as it should."""
+    heard = [(trial, links.converse(trial)) for trial in (*links.DELAYS, *links.CUTS)]
+    console.print(links.table(heard))
+    links.write(out / "links.json", heard)
+    played: list[tuple[outages.Outage, outages.Ending]] = []
+    for number, outage in enumerate(outages.OUTAGES, 1):
+        own = scratch / f"hosts-{number}"
+        ending = outages.play(outage, reference, own)
+        played.append((outage, ending))
+        words = "; ".join(ending.reasons) or f"the same bits after {ending.seconds} s"
+        console.print(f"two hosts: {outage.name}: {words}", highlight=False, soft_wrap=True)
+        if ending.reasons:
+            _keep(own, out / f"failed-hosts-{number}", console)
+        shutil.rmtree(own, ignore_errors=True)
+        outages.write(out, played)
+    console.print(outages.table(played))
+    return not any(ending.reasons for _, ending in played)
+
+
+def _try_kills(
+    runtimes: list[Runtime],
+    asked: argparse.Namespace,
+    reference: Path,
+    scratch: Path,
+    skipped: list[str],
+    console: Console,
+) -> bool:
+    """Kills processes, and reports on those that were killed before a Ctrl-C, too."""
     rows: list[Row] = []
-    scratch = Path(tempfile.mkdtemp(prefix="rc-", dir="/tmp"))  # Ray's sockets need short paths
     try:
-        _play_all(playable, asked.kills, asked.seed, scratch, rows, console)
-    except KeyboardInterrupt:
-        console.print("Stopped by Ctrl-C.")
+        _play_all(runtimes, asked.kills, asked.seed, reference, scratch, rows, console)
     finally:
         report.write(asked.out, rows, asked.seed, skipped)
         console.print(report.table(rows))
         console.print(f"{asked.out / report.CSV_NAME} holds a row for each.", highlight=False)
         for number in {row.run for row in rows if not row.survived}:
             kept = asked.out / f"failed-{asked.seed}-{number}"
-            shutil.move(scratch / str(number), kept)
-            console.print(f"what run {number} left is in {kept}", highlight=False)
-        shutil.rmtree(scratch, ignore_errors=True)
-    return 0 if len(rows) >= asked.kills and all(row.survived for row in rows) else 1
+            _keep(scratch / str(number), kept, console)
+    return len(rows) >= asked.kills and all(row.survived for row in rows)
 
 
-def _try_links(out: Path, console: Console) -> None:
-    """What delay, loss and a cut cable do, as a table and in ``links.json``."""
-    if why := obstacle():
-        console.print(f"two hosts skipped: {why}", highlight=False)
-        return
-    heard = [(trial, links.converse(trial)) for trial in (*links.DELAYS, *links.CUTS)]
-    console.print(links.table(heard))
-    links.write(out / "links.json", heard)
+def _keep(left: Path, kept: Path, console: Console) -> None:
+    shutil.rmtree(kept, ignore_errors=True)  # of an earlier time
+    shutil.move(left, kept)
+    console.print(f"what it left is in {kept}", highlight=False)
 
 
 def _play_all(
     runtimes: list[Runtime],
     kills: int,
     seed: int,
+    reference: Path,
     scratch: Path,
     rows: list[Row],
     console: Console,
 ) -> None:
     """Plays runs in turn until each runtime has had its share of the kills."""
     rng = random.Random(seed)
-    reference = play_reference(scratch / "r")
     decks = {runtime.name: Deck(runtime.roles, rng) for runtime in runtimes}
     number = 0
     for runtime, share in shares(runtimes, kills):

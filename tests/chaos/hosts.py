@@ -9,7 +9,7 @@ import sys
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Any, Literal
 
 ADDRESSES = ("10.77.0.1", "10.77.0.2")
 DEVICE = "cable"
@@ -84,17 +84,23 @@ class TwoHosts:
         self.close()
 
     def start(
-        self, side: Side, argv: Sequence[str], output: IO[str] | int = subprocess.PIPE
+        self,
+        side: Side,
+        argv: Sequence[str],
+        output: IO[str] | int = subprocess.PIPE,
+        **options: Any,
     ) -> subprocess.Popen[str]:
         """Starts a command on a host; it is killed on exit if it is still there.
 
         Args:
             side: which host.
-            argv: the command.
+            argv: the command; the process that is returned becomes it.
             output: where its standard output goes; its standard error is ours.
+            options: further ones of `Popen`.
         """
         command = ["ip", "netns", "exec", self.names[side], *argv]
-        child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, text=True)
+        given = {"stdin": subprocess.DEVNULL, "stdout": output, "text": True} | options
+        child = subprocess.Popen(command, **given)
         self._children.append(child)
         return child
 

@@ -11,14 +11,21 @@ import socket
 import subprocess
 import sys
 import sysconfig
-import time
 import uuid
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
+from flower_helpers import (
+    PATIENCE_S,
+    marker_below,
+    start,
+    state_of,
+    summary,
+    wait_until,
+    with_changes,
+)
 from safetensors.numpy import load_file
 
 from agent import checkpoints, digest
@@ -27,59 +34,16 @@ from experiments.cli import main
 from experiments.flower import Components, superlink
 from experiments.flower.environment import child_environment, free_port
 from experiments.flower.processes import (
-    MARKER,
-    Process,
     command,
-    identify,
     members,
     terminate,
 )
 from experiments.flower.session import Session
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 300.0
 LENGTH = ("train.max_ticks=150", "federation.every=25")
 
 Train = Callable[..., int]
-
-
-def summary(folder: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return content
-
-
-def with_changes(overrides: Sequence[str], *changes: str) -> list[str]:
-    """Overrides with others put in the place of those of the same key."""
-    keys = {change.split("=")[0] for change in changes}
-    return [item for item in overrides if item.split("=")[0] not in keys] + list(changes)
-
-
-def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str] | None = None) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert process is None or process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.2)
-
-
-def start(overrides: Sequence[str], place: Path) -> subprocess.Popen[str]:
-    """The command as a process of its own, which writes to pipes."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli", "train", *overrides],
-        cwd=place,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def state_of(folder: Path) -> str:
-    """What a run says of itself; empty before it has begun."""
-    try:
-        return str(json.loads((folder / "progress.json").read_text())["state"])
-    except (OSError, ValueError):
-        return ""
 
 
 @pytest.fixture
@@ -221,26 +185,6 @@ def test_a_deployment_outlives_a_killed_process(
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------------
-
-
-def marker_below(process: subprocess.Popen[str]) -> str:
-    """The marker of the session that a command has started."""
-    top = identify(process.pid)
-    assert top is not None
-    for row in members(None, [top]):
-        found = _variable(row, MARKER)
-        if found:
-            return found
-    return ""
-
-
-def _variable(process: Process, name: str) -> str:
-    try:
-        text = Path(f"/proc/{process.pid}/environ").read_bytes().decode(errors="replace")
-    except OSError:
-        return ""
-    pairs = dict(item.partition("=")[::2] for item in text.split("\0"))
-    return pairs.get(name, "")
 
 
 @pytest.mark.flower

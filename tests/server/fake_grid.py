@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 import uuid
 from collections.abc import Callable, Iterable, Mapping
 
@@ -35,6 +36,7 @@ class FakeGrid:
         self.sent: list[Message] = []
         self.threads: list[threading.Thread] = []
         self._replies: dict[str, Message] = {}
+        self._given_up: set[str] = set()
         self._lock = threading.Lock()
 
     def get_node_ids(self) -> Iterable[int]:
@@ -67,8 +69,22 @@ class FakeGrid:
         except Exception as error:
             reply = Message(Error(1, f"{type(error).__name__}: {error}"), reply_to=message)
         if reply is not None:
-            with self._lock:
-                self._replies[message.metadata.message_id] = reply
+            self._answer(message, reply)
+
+    def _answer(self, message: Message, reply: Message) -> None:
+        name = message.metadata.message_id
+        with self._lock:
+            if name not in self._given_up:
+                self._replies[name] = reply
+
+    def give_up(self, node: int) -> None:
+        """Answers for a silent node, whose own reply then is not taken; waits until it is heard."""
+        message = [m for m in self.sent if m.metadata.dst_node_id == 100 + node][-1]
+        self._answer(message, Message(Error(3, "node unavailable"), reply_to=message))
+        name = message.metadata.message_id
+        self._given_up.add(name)
+        while name in self._replies:
+            time.sleep(0.01)
 
     def orders(self, node: int) -> list[ConfigRecord]:
         """What a node was asked, round by round."""

@@ -5,116 +5,29 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
 from fake_grid import Client, FakeGrid
 from flwr.app import Context, Message
-from flwr.serverapp import Grid
-from flwr.supercore.task_identity import TaskIdentity
 
 from agent import checkpoints
 from client_app.app import Order, train
 from client_app.robots import RobotGroup
-from conf import Config, fingerprint
+from conf import Config
 from conf.places import node_folder, robot_folder, server_folder
-from env.link import LinkServer, LinkTimeout, RobotLost, ServerLost
+from env.link import LinkTimeout, RobotLost, ServerLost
+from env.link import client as link_client
 from env.link.errors import Disconnected
-from experiments import local
-from server_app import clients as clients_module
 from server_app import lifeline as lifeline_module
-from server_app.checkpoint import latest
-from server_app.clients import Clients
-from server_app.lifeline import Lifeline
 from server_app.nodes import RoundError, placed
 
+pytestmark = pytest.mark.usefixtures("hurried_flower")
+
 Tiny = Callable[..., Config]
-PATIENCE_S = 30.0
 RUN = "0123456789abcdef"
-
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_task_id", "_run_id", "_node_id"):
-        monkeypatch.setattr(TaskIdentity, name, 1)
-    monkeypatch.setattr(clients_module, "TEND_S", 0.05)
-
-
-@pytest.fixture
-def deployed(tiny: Tiny, tmp_path: Path) -> Tiny:
-    """The tiny task as it would be deployed, with a checkpoint every second window."""
-
-    def make(changes: dict[str, Any] | None = None) -> Config:
-        standard = {
-            "runtime.name": "deployment",
-            "runtime.start_timeout_s": PATIENCE_S,
-            "federation.link.timeout_s": 5.0,
-            "federation.loss_timeout_s": PATIENCE_S,
-            "train.max_ticks": 120,
-            "state.every": 2,
-            "run.dir": str(tmp_path / "run"),
-            "run.id": RUN,
-        }
-        return tiny({**standard, **(changes or {})})
-
-    return make
-
-
-@pytest.fixture
-def run() -> Iterator[Callable[..., dict[str, Any]]]:
-    """Trains on a fake grid; returns the summary."""
-    before = set(threading.enumerate())
-
-    def make(config: Config, grid: FakeGrid, resumes: bool = False) -> dict[str, Any]:
-        folder = Path(str(config.run.dir))
-        timeout_s = config.federation.link.timeout_s
-        link = LinkServer(fingerprint=fingerprint(), timeout_s=timeout_s)
-        try:
-            clients = Clients(config, cast(Grid, grid), link, sorted(grid.nodes)[:3])
-            resumed = latest(folder / "state", 0) if resumes else None
-            Lifeline(config, folder, link, clients).train(resumed)
-        finally:
-            link.close("the run has ended")
-        summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-        return summary
-
-    yield make
-    for thread in set(threading.enumerate()) - before:
-        thread.join(PATIENCE_S)
-        assert not thread.is_alive()
-
-
-@pytest.fixture
-def digests(tmp_path: Path) -> Callable[[Config], dict[str, str]]:
-    """The digests of a run that loses nobody, in one process."""
-
-    def make(config: Config) -> dict[str, str]:
-        summary = local.train(config, tmp_path / "whole")
-        digest: dict[str, str] = summary["digest"]
-        return digest
-
-    return make
-
-
-@pytest.fixture
-def at_tick(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Lets a robot's process raise an error, once or so often, when it is told of a tick."""
-
-    def make(tick: int, robot: int, error: Exception, times: int = 1) -> None:
-        step, left = RobotGroup.step, [times]
-
-        def failing(self: RobotGroup, told: Any) -> Any:
-            if told.tick == tick and robot in self.robots and left[0]:
-                left[0] -= 1
-                raise error
-            return step(self, told)
-
-        monkeypatch.setattr(RobotGroup, "step", failing)
-
-    return make
-
 
 KILLED = ServerLost("killed")  # the one kind of error of which the server is not told
 CUT = Disconnected("the cable is cut")
@@ -148,6 +61,37 @@ def test_a_client_whose_cable_was_cut_comes_back_by_itself(
     grid = FakeGrid(3)
     assert run(config, grid)["digest"] == expected
     assert len(grid.sent) == 3  # no process had to be started
+
+
+def test_a_client_that_comes_back_after_flower_gave_it_up_costs_no_bit(
+    deployed: Tiny, run: Any, digests: Any, at_tick: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To Flower a node is offline after a minute's silence, and its client's reply is not taken."""
+    config = deployed()
+    expected = digests(config)
+    grid = FakeGrid(3)
+    connect, step = link_client._connected, RobotGroup.step
+
+    def comes_back_late(*given: Any, if_refused: bool = True) -> Any:
+        if not if_refused:
+            grid.nodes = [100, 101]
+            grid.give_up(2)
+        return connect(*given, if_refused=if_refused)
+
+    def is_online_later(self: RobotGroup, told: Any) -> Any:
+        if told.tick == 60:
+            grid.nodes = [100, 101, 102]
+        return step(self, told)
+
+    monkeypatch.setattr(link_client, "_connected", comes_back_late)
+    monkeypatch.setattr(RobotGroup, "step", is_online_later)
+    at_tick(33, 2, CUT)
+    summary = run(config, grid)
+    assert summary["digest"] == expected
+    assert [loss["loss"].split(": ")[0] for loss in summary["losses"]] == [
+        "robot 2 lost at tick 33, window 4",
+        "robot 2 lost at the end of round 1",
+    ]
 
 
 def test_losses_one_after_the_other_cost_no_bit(

@@ -25,7 +25,7 @@ from client_app.app import Order, train
 from client_app.state import Keeper
 from conf import Config, robot_network
 from conf.places import robot_windows, round_folder
-from env.link import LinkError, LinkServer, serve
+from env.link import LinkError, LinkServer, RobotLost, serve
 from env.seeding import Stream, stream
 from server_app.clients import Clients
 from server_app.nodes import RoundError, deal, wait_for_nodes
@@ -354,3 +354,19 @@ def test_a_grid_that_does_not_take_every_message_is_an_error(
     config = on_flower()
     with pytest.raises(RoundError, match=f"Flower took {names.count('0')} of 2 messages"):
         play(config, fleet=make_fleet(config, Full(2)))
+
+
+def test_a_client_whose_process_died_before_it_joined_is_a_lost_robot_and_said_in_one_line(
+    on_flower: Tiny, make_fleet: Callable[..., FlowerFleet], play: Play
+) -> None:
+    """As Flower's simulation engine says it: the launcher then starts the run's processes anew."""
+
+    def killed(message: Message, context: Context) -> Message:
+        raise RuntimeError("<class 'ray.exceptions.ActorDiedError'>:<'The actor died\n\tpid: 1'>")
+
+    config = on_flower()
+    with pytest.raises(RobotLost) as lost:
+        play(config, fleet=make_fleet(config, FakeGrid(2, {0: killed})))
+    assert str(lost.value) == (
+        "robots 0, 1 lost in round 1, which began after window 0: its process died without a word"
+    )

@@ -1,0 +1,1 @@
+"""``risfleet reproduce``: the paper's figures with statistics, and what else is measured."""

@@ -1,0 +1,61 @@
+"""Jobs through Hydra's launcher plug-ins: processes by default, a cluster where one is set up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hydra import initialize_config_dir
+from hydra._internal.callbacks import Callbacks
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, RunMode, TaskFunction
+from omegaconf.errors import OmegaConfBaseException
+
+from conf import ConfigError, register_schema
+from conf.compose import FOLDER
+
+DEFAULT = "hydra/launcher=joblib"
+
+
+def build_launcher(
+    task: TaskFunction, overrides: Sequence[str], place: Path, workers: int
+) -> Launcher:
+    """The launcher that Hydra overrides name: ``joblib``, a process for each core, if none.
+
+    Args:
+        task: what is called for each job.
+        overrides: keys of Hydra itself, such as ``hydra/launcher=ray``.
+        place: Hydra's folder for the sweep.
+        workers: jobs at once, with ``joblib``.
+
+    Raises:
+        ConfigError: an override is wrong, or the launcher is not installed.
+    """
+    chosen = [item for item in overrides if item.startswith("hydra/launcher=")] or [DEFAULT]
+    own = [item for item in overrides if not item.startswith("hydra/launcher=")]
+    if chosen == [DEFAULT]:
+        # A job each time a process is free: jobs are few and long.
+        own = [f"hydra.launcher.n_jobs={workers}", "hydra.launcher.pre_dispatch=n_jobs", *own]
+    quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null"]
+    where = [f"hydra.sweep.dir={place}", "hydra.sweep.subdir=."]
+    register_schema()
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(FOLDER), version_base="1.3", job_name="risfleet"):
+        hydra = GlobalHydra.instance().hydra
+        assert hydra is not None
+        try:
+            config = hydra.compose_config(
+                config_name="config",
+                overrides=[*chosen, *where, *quiet, *own],
+                run_mode=RunMode.MULTIRUN,
+                with_log_configuration=False,
+            )
+            context = HydraContext(hydra.config_loader, Callbacks(config))
+            return Plugins.instance().instantiate_launcher(
+                hydra_context=context, task_function=task, config=config
+            )
+        except (HydraException, OmegaConfBaseException, ImportError, RuntimeError) as error:
+            raise ConfigError(str(error).strip().splitlines()[0]) from error

@@ -1,0 +1,164 @@
+"""What the user sees of many runs at once, and what Ctrl-C does to them."""
+
+from __future__ import annotations
+
+import _thread
+import signal
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from conf import Config
+from experiments.display import RUNNING, read_progress, share_done
+from experiments.reproduce.jobs import cost_s, folder_of
+from server_app.session import STOP_FILE
+
+POLL_S = 0.5
+LINE_PERIOD_S = 30.0
+SURE = 0.02
+"""The share of all work after which the time that is left can be guessed."""
+
+
+class Interrupts:
+    """Ctrl-C ends all runs at their next window; a second one ends their processes at once.
+
+    While it is taken, the signal is blocked in this thread, so that the processes that a launcher
+    starts never see it: they would die of it while they import.
+
+    Args:
+        store: the folder of all runs.
+        folders: of those that may be going on.
+        console: where to say so.
+    """
+
+    def __init__(self, store: Path, folders: Sequence[Path], console: Console) -> None:
+        self._all, self._folders, self._console = store / STOP_FILE, folders, console
+        self.asked = False
+
+    def __enter__(self) -> Interrupts:
+        """Takes Ctrl-C over."""
+        self._forget()  # what a call that was killed has left
+        resource_tracker.ensure_running()  # as it starts, it unblocks the signal
+        self._before = signal.signal(signal.SIGINT, self._on_signal)
+        self._mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Gives Ctrl-C back."""
+        self.look()
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
+        signal.signal(signal.SIGINT, self._before)
+        self._forget()
+
+    def look(self) -> None:
+        """Takes a Ctrl-C that waits, and tells runs that have begun since; from another thread."""
+        if signal.SIGINT in signal.sigpending():
+            signal.sigwait({signal.SIGINT})
+            _thread.interrupt_main()
+        if self.asked:
+            self._tell()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        self._tell()
+        self._console.print("Stopping at the next aggregations; Ctrl-C again stops at once.")
+
+    def _tell(self) -> None:
+        self._all.touch()
+        for folder in self._folders:
+            with suppress(FileNotFoundError):
+                (folder / STOP_FILE).touch()
+
+    def _forget(self) -> None:
+        for place in (self._all, *(folder / STOP_FILE for folder in self._folders)):
+            place.unlink(missing_ok=True)
+
+
+class Watch:
+    """Shows how far all runs are, from what they write to their folders.
+
+    A bar on a terminal; elsewhere a plain line every half minute.
+
+    Args:
+        done: how many runs were done before.
+        left: those that are trained now.
+        interrupts: looked after as often as the bar is drawn.
+        console: where to show.
+    """
+
+    def __init__(
+        self, done: int, left: Sequence[Config], interrupts: Interrupts, console: Console
+    ) -> None:
+        self._done, self._interrupts, self._console = done, interrupts, console
+        self._costs_s = {folder_of(config): cost_s(config) for config in left}
+        self._episodes = sum(config.train.episodes for config in left)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
+        self._began, self._began_at = time.monotonic(), time.time()
+        self._before_s = self._worked_s(self._read())
+
+    def __enter__(self) -> Watch:
+        """Begins to show."""
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Ends."""
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        columns = (BarColumn(40), TextColumn("{task.description}"), TimeElapsedColumn())
+        terminal = self._console.is_terminal
+        with Progress(*columns, console=self._console, transient=True, disable=not terminal) as bar:
+            task = bar.add_task("", total=sum(self._costs_s.values()))
+            printed = time.monotonic()
+            while not self._ended.wait(POLL_S):
+                self._interrupts.look()
+                statuses = self._read()
+                bar.update(task, completed=self._worked_s(statuses), description=self.line())
+                if not terminal and time.monotonic() - printed >= LINE_PERIOD_S:
+                    printed = time.monotonic()
+                    self._console.print(self.line(), highlight=False, soft_wrap=True)
+
+    def _read(self) -> dict[Path, dict[str, Any]]:
+        """What runs last wrote; those that are still to go on are in the state "stopped"."""
+        found = {}
+        for folder in self._costs_s:
+            status = read_progress(folder)
+            if status is not None:
+                before = (status["written_at"] or 0.0) < self._began_at
+                found[folder] = status | ({"state": "stopped"} if before else {})
+        return found
+
+    def _worked_s(self, statuses: Mapping[Path, dict[str, Any]]) -> float:
+        """The guessed processor time of what is done."""
+        return sum(self._costs_s[folder] * share_done(s) for folder, s in statuses.items())
+
+    def line(self) -> str:
+        """Where all runs are, in a line."""
+        statuses = self._read()
+        states = [status["state"] for status in statuses.values()]
+        text = (
+            f"runs {self._done + states.count('done')}/{self._done + len(self._costs_s)},"
+            f" {sum(state in RUNNING for state in states)} going,"
+            f" episodes {sum(s['episode'] for s in statuses.values())}/{self._episodes}"
+        )
+        if failed := states.count("failed"):
+            text += f", {failed} failed"
+        total_s, worked_s = sum(self._costs_s.values()), self._worked_s(statuses)
+        since_s = worked_s - self._before_s
+        if since_s > SURE * total_s:
+            seconds = (total_s - worked_s) / since_s * (time.monotonic() - self._began)
+            text += f", about {max(seconds / 60, 1):.0f} min left"
+        return text

@@ -1,0 +1,137 @@
+"""Targets of ``risfleet reproduce``: cells that can be trained, and how they become jobs."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conf import Config
+from experiments.reproduce.command import TARGETS
+from experiments.reproduce.fig3 import OURS
+from experiments.reproduce.jobs import Job, State, cost_s, dealt, folder_of, missing
+from experiments.reproduce.plan import SEEDS, Cell, cell_folder, configs, with_overrides
+
+
+def target(name: str) -> Any:
+    return import_module(f"experiments.reproduce.{name}").TARGET
+
+
+@cache
+def planned(name: str, quick: bool) -> dict[str, dict[int, Config]]:
+    """Every run of a target, by its cell and seed."""
+    return {cell.name: configs(cell, Path("store")) for cell in target(name).cells(quick)}
+
+
+def cost_of_all_s(name: str, quick: bool) -> float:
+    return sum(cost_s(config) for runs in planned(name, quick).values() for config in runs.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "quick"),
+    [
+        ("fig3", True),
+        ("fig3", False),
+        ("ablations", True),
+        pytest.param("ablations", False, marks=pytest.mark.slow),
+    ],
+)
+def test_every_cell_composes_and_differs_from_the_others(name: str, quick: bool) -> None:
+    cells = target(name).cells(quick)
+    assert target(name).name == name
+    assert len({cell.name for cell in cells}) == len(cells)
+    folders = {folder_of(c) for runs in planned(name, quick).values() for c in runs.values()}
+    assert len(folders) == sum(len(cell.seeds) for cell in cells)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_seeds_on_which_settings_were_chosen_are_not_reported(name: str) -> None:
+    for quick in (True, False):
+        assert {seed for cell in target(name).cells(quick) for seed in cell.seeds} <= set(SEEDS)
+    assert not set(SEEDS) & {0, 1, 2, 3, 4}
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_quick_scale_has_cells_of_the_full_one_and_fewer_runs(name: str) -> None:
+    quick, full = (target(name).cells(scale) for scale in (True, False))
+    assert {cell.name for cell in quick} <= {cell.name for cell in full}
+    assert sum(len(cell.seeds) for cell in quick) <= sum(len(cell.seeds) for cell in full) / 3
+
+
+def test_the_quick_scale_of_fig3_is_a_small_part_of_the_full_one() -> None:
+    assert cost_of_all_s("fig3", quick=True) < cost_of_all_s("fig3", quick=False) / 3
+
+
+def test_cells_of_the_same_configuration_share_their_runs(tmp_path: Path) -> None:
+    named = configs(Cell("a", ("env.robots=3", "train.episodes=300"), (10,)), tmp_path)
+    default = configs(Cell("b", (), (10, 11)), tmp_path)
+    assert named[10] == default[10]
+    jobs = missing(
+        [(Cell("a", (), (10,)), named), (Cell("b", (), (10, 11)), default)],
+        dict.fromkeys(map(folder_of, default.values()), State.NEW),
+    )
+    assert [folder.name for job in jobs for folder in job.folders] == ["seed=10", "seed=11"]
+
+
+def test_the_users_overrides_stand_above_a_cells_own(tmp_path: Path) -> None:
+    cells = with_overrides(target("fig3").cells(quick=True), ["train.episodes=7"])
+    ours = next(cell for cell in cells if cell.name == OURS)
+    assert configs(ours, tmp_path)[10].train.episodes == 7
+
+
+def test_runs_of_another_configuration_or_program_lie_elsewhere(
+    tiny: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = cell_folder(tiny())
+    assert cell_folder(tiny({"seed": 5, "run.dir": "elsewhere"})) == folder
+    assert cell_folder(tiny({"train.max_ticks": 90})) != folder
+    monkeypatch.setattr("experiments.reproduce.plan.fingerprint", lambda env: "another program")
+    assert cell_folder(tiny()) != folder
+
+
+# --- Jobs -----------------------------------------------------------------------------------------
+
+
+def job(config: Config, seeds: range, *, episodes: int = 100) -> Job:
+    config = dataclasses.replace(
+        config, train=dataclasses.replace(config.train, episodes=episodes, max_ticks=None)
+    )
+    return Job((), tuple(dataclasses.replace(config, seed=seed) for seed in seeds))
+
+
+def test_a_single_cell_is_split_by_seeds_until_every_process_has_work(tiny: Any) -> None:
+    jobs = dealt([job(tiny(), range(5))], workers=2)
+    assert [len(each.configs) for each in jobs] == [2, 2, 1]  # no job is above half of the work
+    assert sorted(c.seed for each in jobs for c in each.configs) == list(range(5))
+
+
+def test_cells_enough_for_every_process_keep_their_seeds_together(tiny: Any) -> None:
+    jobs = dealt([job(tiny(), range(3)) for _ in range(6)], workers=2)
+    assert [len(each.configs) for each in jobs] == [3] * 6
+
+
+def test_the_longest_job_begins_first(tiny: Any) -> None:
+    jobs = dealt([job(tiny(), range(1), episodes=n) for n in (10, 30, 20)], workers=1)
+    assert [each.configs[0].train.episodes for each in jobs] == [30, 20, 10]
+
+
+def test_runs_whose_processor_time_is_reported_train_alone(tmp_path: Path) -> None:
+    cell = Cell("a", ("env.robots=2",), (10, 11, 12), alone=True)
+    runs = configs(cell, tmp_path)
+    states = dict.fromkeys(map(folder_of, runs.values()), State.NEW)
+    assert [len(each.configs) for each in missing([(cell, runs)], states)] == [1, 1, 1]
+
+
+def test_a_run_that_has_begun_goes_on_by_itself_and_one_that_is_done_not_at_all(
+    tmp_path: Path,
+) -> None:
+    cell = Cell("a", ("env.robots=2",), (10, 11, 12, 13))
+    runs = configs(cell, tmp_path)
+    each = [State.DONE, State.BEGUN, State.NEW, State.NEW]
+    states = dict(zip(map(folder_of, runs.values()), each, strict=True))
+    jobs = missing([(cell, runs)], states)
+    assert [[c.seed for c in found.configs] for found in jobs] == [[11], [12, 13]]

@@ -1,0 +1,77 @@
+"""Whole runs by the command, as processes that are watched."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.flower.processes import MARKER, Process, identify, members
+
+PATIENCE_S = 300.0
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    """What a run came to."""
+    content: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return content
+
+
+def with_changes(overrides: Sequence[str], *changes: str) -> list[str]:
+    """Overrides with others put in the place of those of the same key."""
+    keys = {change.split("=")[0] for change in changes}
+    return [item for item in overrides if item.split("=")[0] not in keys] + list(changes)
+
+
+def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str] | None = None) -> None:
+    """Waits for a condition; fails where a process that is to bring it about has ended."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert process is None or process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, "it never happened"
+        time.sleep(0.2)
+
+
+def start(overrides: Sequence[str], place: Path) -> subprocess.Popen[str]:
+    """The command as a process of its own, which writes to pipes."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", "train", *overrides],
+        cwd=place,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def state_of(folder: Path) -> str:
+    """What a run says of itself; empty before it has begun."""
+    try:
+        return str(json.loads((folder / "progress.json").read_text())["state"])
+    except (OSError, ValueError):
+        return ""
+
+
+def marker_below(process: subprocess.Popen[str]) -> str:
+    """The marker of the session that a command has started."""
+    top = identify(process.pid)
+    assert top is not None
+    for row in members(None, [top]):
+        found = variable(row, MARKER)
+        if found:
+            return found
+    return ""
+
+
+def variable(process: Process, name: str) -> str:
+    """A variable of a process's environment, empty where it has none."""
+    try:
+        text = Path(f"/proc/{process.pid}/environ").read_bytes().decode(errors="replace")
+    except OSError:
+        return ""
+    pairs = dict(item.partition("=")[::2] for item in text.split("\0"))
+    return pairs.get(name, "")
