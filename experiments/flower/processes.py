@@ -1,8 +1,10 @@
 """Find and end every process of a session, whatever session or parent it has moved to.
 
 Flower's SuperExec starts a session of its own and Ray's services outlive the process that started
-them, so neither a process group nor a tree of parents holds them all. Two things do: an environment
-variable that every child inherits (Linux shows it in `/proc`), and the parents seen at each look.
+them, so neither a process group nor a tree of parents holds them all. Three things do: an
+environment variable that every child inherits (Linux shows it in `/proc`), the session's private
+folder, in which they all work (Ray's agents write their titles over the environment that Linux
+shows), and the parents seen at each look.
 """
 
 from __future__ import annotations
@@ -53,12 +55,15 @@ def command(process: Process) -> str:
         return ""
 
 
-def members(marker: str | None, roots: Iterable[Process] = ()) -> set[Process]:
-    """Running processes that carry the marker, are among the roots, or descend from either.
+def members(
+    marker: str | None, roots: Iterable[Process] = (), folder: Path | None = None
+) -> set[Process]:
+    """Running processes that carry the marker, work in the folder, are roots, or descend from any.
 
     Args:
         marker: value of the environment variable `MARKER`; None looks at parents alone (cheap).
         roots: processes known to belong to the session.
+        folder: the session's own; None looks at no folder.
 
     Returns:
         The processes, this one and zombies left out.
@@ -66,7 +71,9 @@ def members(marker: str | None, roots: Iterable[Process] = ()) -> set[Process]:
     rows = table()
     known = {root.pid for root in roots if rows.get(root.pid) == root}
     if marker is not None:
-        known |= {pid for pid in rows if pid not in known and _is_marked(pid, marker)}
+        unknown = rows.keys() - known
+        folder = folder and folder.resolve()
+        known |= {pid for pid in unknown if _is_marked(pid, marker) or _works_in(pid, folder)}
     children: dict[int, list[int]] = {}
     for row in rows.values():
         children.setdefault(row.parent, []).append(row.pid)
@@ -81,13 +88,19 @@ def members(marker: str | None, roots: Iterable[Process] = ()) -> set[Process]:
 
 
 def terminate(
-    marker: str | None, roots: Iterable[Process] = (), *, grace_s: float = 3.0, kill_s: float = 5.0
+    marker: str | None,
+    roots: Iterable[Process] = (),
+    folder: Path | None = None,
+    *,
+    grace_s: float = 3.0,
+    kill_s: float = 5.0,
 ) -> set[Process]:
     """Ask a session's processes to end, and kill those that have not after the grace.
 
     Args:
         marker: as in `members`.
         roots: as in `members`.
+        folder: as in `members`.
         grace_s: seconds from SIGTERM to SIGKILL.
         kill_s: seconds of SIGKILL before giving up.
 
@@ -97,7 +110,7 @@ def terminate(
     known = set(roots)
     asked: set[Process] = set()
     begin = seen = time.monotonic()
-    while (alive := members(marker, known)) or time.monotonic() - seen < _SETTLE_S:
+    while (alive := members(marker, known, folder)) or time.monotonic() - seen < _SETTLE_S:
         elapsed = time.monotonic() - begin
         if elapsed > grace_s + kill_s:
             break
@@ -122,6 +135,15 @@ def _is_marked(pid: int, marker: str) -> bool:
     except OSError:
         return False
     return f"{MARKER}={marker}".encode() in environment.split(b"\0")
+
+
+def _works_in(pid: int, folder: Path | None) -> bool:
+    if folder is None:
+        return False
+    try:
+        return (_PROC / str(pid) / "cwd").readlink() == folder
+    except OSError:
+        return False
 
 
 def _table_from_proc() -> dict[int, Process]:

@@ -99,7 +99,7 @@ class Session:
 
     def stop(self) -> None:
         """End every process of the session and remove the folder; once is enough, twice is fine."""
-        left = terminate(self.marker, self._roots)
+        left = terminate(self.marker, self._roots, self.folder)
         for child in self._children:
             child.poll()
         shutil.rmtree(self.folder, ignore_errors=True)

@@ -9,19 +9,20 @@ from __future__ import annotations
 import shutil
 import signal
 import sys
+from pathlib import Path
 
 from experiments.flower.processes import Process, terminate
 
 
 def main() -> None:
-    """Wait for the owner's end, then end what carries the marker and remove the folder."""
-    marker, folder = sys.argv[1:3]
+    """Wait for the owner's end, then end what carries the marker or works in its folder."""
+    marker, folder = sys.argv[1], Path(sys.argv[2])
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     roots = set()
     for line in sys.stdin:
         pid, started = line.rstrip("\n").split("\t")
         roots.add(Process(int(pid), started))
-    terminate(marker, roots)
+    terminate(marker, roots, folder)
     shutil.rmtree(folder, ignore_errors=True)
 
 
