@@ -5,6 +5,7 @@ Flower itself notices its engine's death late.
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 from experiments.flower.control import RunState, Status
@@ -18,13 +19,17 @@ _SIMULATION = "flwr-simulation"
 _CLIENT = "ray::ClientAppActor"
 _RAY = "raylet/raylet"
 
+_ENDING_S = 10.0
+"""How long the engine may outlive Ray: after an app that raised, Ray ends before that is said."""
+
 
 class Engine:
     """The engine's processes, found below the SuperLink's (on Linux; elsewhere all seems well).
 
     Attributes:
-        running: whether the simulation's main process was there at the last look, and Ray's too
-            as long as that has to start the clients. Once they are there, they need it no more.
+        running: whether the simulation's main process was there at the last look, and Ray's too,
+            or not long gone, as long as that has to start the clients. Once they are there, they
+            need it no more.
         has_clients: whether a process that runs clients has ever been there.
     """
 
@@ -35,6 +40,7 @@ class Engine:
         self.running = True
         self.has_clients = not self._can_look
         self._has_ray = False
+        self._stranded_at: float | None = None
 
     def look(self) -> None:
         """Look at the processes again; a few milliseconds."""
@@ -42,8 +48,12 @@ class Engine:
             return
         commands = [command(row) for row in members(None, [self._superlink])]
         ray = any(_RAY in text.partition(" ")[0] for text in commands)
-        stranded = self._has_ray and not ray and not self.has_clients
-        self.running = any(_SIMULATION in text for text in commands) and not stranded
+        if ray or self.has_clients or not self._has_ray:
+            self._stranded_at = None
+        elif self._stranded_at is None:
+            self._stranded_at = time.monotonic()
+        ending = self._stranded_at is None or time.monotonic() - self._stranded_at < _ENDING_S
+        self.running = any(_SIMULATION in text for text in commands) and ending
         self._has_ray |= ray
         self.has_clients |= any(text.startswith(_CLIENT) for text in commands)
 
