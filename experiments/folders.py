@@ -8,7 +8,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from conf import Config, ConfigError
@@ -66,20 +66,32 @@ def clear(folder: Path, *, whole: bool = False) -> None:
         shutil.rmtree(folder / "tensorboard", ignore_errors=True)
 
 
-@contextmanager
-def alone(folder: Path) -> Iterator[None]:
+def alone(folder: Path) -> AbstractContextManager[None]:
     """Holds a run's folder, so that no second process goes on in it.
 
     Raises:
         ConfigError: another process holds it.
+    """
+    return held(folder, ("run.dir", folder, "a folder in which no run is going on"))
+
+
+@contextmanager
+def held(folder: Path, problem: tuple[str, object, str]) -> Iterator[None]:
+    """Holds a folder for this process.
+
+    Args:
+        folder: an existing one.
+        problem: key, value and what is allowed, should another process hold it.
+
+    Raises:
+        ConfigError: another process does.
     """
     handle = os.open(folder, os.O_RDONLY)
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            say = "a folder in which no run is going on"
-            raise ConfigError.of([("run.dir", folder, say)]) from error
+            raise ConfigError.of([problem]) from error
         yield
     finally:
         os.close(handle)

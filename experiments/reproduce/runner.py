@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
-from conf import Config, ConfigError
+from conf import Config
 from experiments.display import read_progress
+from experiments.folders import held
 from experiments.reproduce.jobs import Job, State, dealt, folder_of, missing, state_of
 from experiments.reproduce.launch import build_launcher
 from experiments.reproduce.plan import Cell, configs
@@ -88,7 +88,7 @@ def train(plan: Plan, workers: int, hydra: Sequence[str], console: Console) -> O
     build_launcher(print, hydra, plan.store, workers)  # before anything starts
     plan.store.mkdir(parents=True, exist_ok=True)
     folders = list(plan.configs)
-    with _alone(plan.store), Interrupts(plan.store, folders, console) as interrupts:
+    with alone(plan.store), Interrupts(plan.store, folders, console) as interrupts:
         failed: dict[Path, str] = {}
         for _ in range(ATTEMPTS):
             states = plan.states()
@@ -156,20 +156,10 @@ def _launch(
             console.print(f"risfleet: {type(error).__name__}: {error}".splitlines()[0])
 
 
-@contextmanager
-def _alone(store: Path) -> Iterator[None]:
+def alone(store: Path) -> AbstractContextManager[None]:
     """Holds the folder of all runs.
 
     Raises:
         ConfigError: another process holds it.
     """
-    handle = os.open(store, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            say = "a folder in which nothing is being reproduced"
-            raise ConfigError.of([("--out", store.parent, say)]) from error
-        yield
-    finally:
-        os.close(handle)
+    return held(store, ("--out", store.parent, "a folder in which nothing is being reproduced"))

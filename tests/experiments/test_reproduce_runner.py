@@ -184,10 +184,10 @@ def test_jobs_are_launched_again_where_their_launcher_broke(
 
 
 def test_two_calls_do_not_train_in_one_folder(plan: Plan) -> None:
-    from experiments.reproduce.runner import _alone
+    from experiments.reproduce.runner import alone
 
     plan.store.mkdir(parents=True)
-    with _alone(plan.store), pytest.raises(ConfigError, match="nothing is being reproduced"):
+    with alone(plan.store), pytest.raises(ConfigError, match="nothing is being reproduced"):
         trained(plan)
 
 
