@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -113,7 +114,33 @@ def _duration(seconds: float) -> str:
     return f"{minutes}:{rest:02d}"
 
 
-class Display:
+class Showing(ABC):
+    """Shows something from a thread of its own, until the block that it is entered for ends.
+
+    Args:
+        name: the thread's.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def __enter__(self) -> Self:
+        """Begins to show."""
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Shows the last state and ends."""
+        self._ended.set()
+        self._thread.join()
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Shows, until ``_ended`` is set."""
+
+
+class Display(Showing):
     """Shows the progress of runs while they last, from what they write to their folders.
 
     Live on a terminal; elsewhere a plain line every ten seconds. It reads files only, so it shows
@@ -125,19 +152,8 @@ class Display:
     """
 
     def __init__(self, folders: Sequence[Path], console: Console) -> None:
+        super().__init__("display")
         self._folders, self._console = folders, console
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="display", daemon=True)
-
-    def __enter__(self) -> Display:
-        """Begins to show."""
-        self._thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Shows the last state and ends."""
-        self._ended.set()
-        self._thread.join()
 
     def _run(self) -> None:
         if not self._console.is_terminal:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from conf import Config, ConfigError, fingerprint
+from conf import Config, fingerprint
 from conf.schema import RunConfig
 from experiments.evaluate import read_config, read_weights
 from experiments.reproduce.plan import COMMON, Cell
@@ -71,23 +71,10 @@ def state_of(config: Config) -> State:
     if _is_done(config):
         return State.DONE
     try:
-        checkpoint_of(config)
+        found = resume.standing(config, folder_of(config))
     except (LookupError, OSError, ValueError):
         return State.NEW
-    return State.BEGUN
-
-
-def checkpoint_of(config: Config) -> Checkpoint:
-    """Where a run goes on.
-
-    Raises:
-        ConfigError: there is no whole checkpoint, or it is another run's.
-    """
-    folder = folder_of(config)
-    begun, checkpoint = resume.read([f"{resume.PREFIX}{folder}"])
-    if not _same(begun, config):
-        raise ConfigError(f"{folder} holds another run.")
-    return checkpoint
+    return State.BEGUN if isinstance(found, Checkpoint) else State.NEW
 
 
 def _is_done(config: Config) -> bool:

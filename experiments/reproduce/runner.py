@@ -90,16 +90,17 @@ def train(plan: Plan, workers: int, hydra: Sequence[str], console: Console) -> O
     folders = list(plan.configs)
     with alone(plan.store), Interrupts(plan.store, folders, console) as interrupts:
         failed: dict[Path, str] = {}
+        states = plan.states()
         for _ in range(ATTEMPTS):
-            states = plan.states()
             jobs = dealt(missing(plan.cells, states), workers)
             jobs = [job for job in jobs if not set(job.folders) <= set(failed)]
             if not jobs or interrupts.asked:
                 break
             _clear(jobs, states)
             _launch(jobs, states, plan.store, workers, hydra, interrupts, console)
-            failed = _failed(plan.states())
-    done = tuple(folder for folder, state in plan.states().items() if state is State.DONE)
+            states = plan.states()
+            failed = _failed(states)
+    done = tuple(folder for folder, state in states.items() if state is State.DONE)
     if interrupts.asked:
         return Outcome(done, {}, interrupted=True)
     lost = {folder: "it did not end" for folder in folders if folder not in done}

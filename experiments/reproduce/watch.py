@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import _thread
 import signal
-import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -17,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from conf import Config
-from experiments.display import RUNNING, read_progress, share_done
+from experiments.display import RUNNING, Showing, read_progress, share_done
 from experiments.reproduce.jobs import cost_s, folder_of
 from server_app.session import STOP_FILE
 
@@ -84,7 +83,7 @@ class Interrupts:
             place.unlink(missing_ok=True)
 
 
-class Watch:
+class Watch(Showing):
     """Shows how far all runs are, from what they write to their folders.
 
     A bar on a terminal; elsewhere a plain line every half minute.
@@ -99,23 +98,12 @@ class Watch:
     def __init__(
         self, done: int, left: Sequence[Config], interrupts: Interrupts, console: Console
     ) -> None:
+        super().__init__("watch")
         self._done, self._interrupts, self._console = done, interrupts, console
         self._costs_s = {folder_of(config): cost_s(config) for config in left}
         self._episodes = sum(config.train.episodes for config in left)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
         self._began, self._began_at = time.monotonic(), time.time()
         self._before_s = self._worked_s(self._read())
-
-    def __enter__(self) -> Watch:
-        """Begins to show."""
-        self._thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Ends."""
-        self._ended.set()
-        self._thread.join()
 
     def _run(self) -> None:
         columns = (BarColumn(40), TextColumn("{task.description}"), TimeElapsedColumn())
@@ -126,10 +114,12 @@ class Watch:
             while not self._ended.wait(POLL_S):
                 self._interrupts.look()
                 statuses = self._read()
-                bar.update(task, completed=self._worked_s(statuses), description=self.line())
+                bar.update(
+                    task, completed=self._worked_s(statuses), description=self._line(statuses)
+                )
                 if not terminal and time.monotonic() - printed >= LINE_PERIOD_S:
                     printed = time.monotonic()
-                    self._console.print(self.line(), highlight=False, soft_wrap=True)
+                    self._console.print(self._line(statuses), highlight=False, soft_wrap=True)
 
     def _read(self) -> dict[Path, dict[str, Any]]:
         """What runs last wrote; those that are still to go on are in the state "stopped"."""
@@ -145,9 +135,8 @@ class Watch:
         """The guessed processor time of what is done."""
         return sum(self._costs_s[folder] * share_done(s) for folder, s in statuses.items())
 
-    def line(self) -> str:
+    def _line(self, statuses: Mapping[Path, dict[str, Any]]) -> str:
         """Where all runs are, in a line."""
-        statuses = self._read()
         states = [status["state"] for status in statuses.values()]
         text = (
             f"runs {self._done + states.count('done')}/{self._done + len(self._costs_s)},"

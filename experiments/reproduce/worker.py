@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 
 from conf import Config
 from experiments import together
-from experiments.reproduce.jobs import Job, State, folder_of, state_of
+from experiments.reproduce.jobs import Job
 from server_app.recorder import report_failure
 from server_app.session import STOP_FILE
 
@@ -65,10 +65,8 @@ class Work:
             node: as Hydra composed it; the job's configurations are the same, checked before.
         """
         job = self.jobs[int(HydraConfig.get().job.num)]
-        left = [config for config in job.configs if state_of(config) is not State.DONE]
-        if left:
-            with _ending_with(self.owner, job.folders):
-                train_seeds(left, [folder_of(config) for config in left])
+        with _ending_with(self.owner, job.folders):
+            train_seeds(job.configs, job.folders)
 
 
 @contextmanager
