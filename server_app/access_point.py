@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import DQN, Learner, MakeLearner, epsilon_at
+from agent import DQN, BranchingDQN, Learner, MakeLearner, epsilon_at
 from conf import Config, ap_network
 from env.seeding import Stream, stream
 from env.world import Outcome, World
@@ -54,49 +55,33 @@ class PhaseAgent(Protocol):
         ...
 
 
-class AccessPoint:
-    """The global DQN of Section III-A: it sees all robots and picks the RIS's phases.
+class NetworkAgent(ABC):
+    """What the ``PhaseAgent``s that learn have in common: one network, its start and its state.
 
     Args:
         config: the run's configuration.
-        make_learner: a stack's seat, where several runs' access points learn together.
+
+    Attributes:
+        shape: of its network.
+        agent: its DQN.
     """
 
-    def __init__(self, config: Config, make_learner: MakeLearner = Learner) -> None:
+    def __init__(self, config: Config) -> None:
+        self._config, self.shape = config, ap_network(config)
         self._epsilon = config.agent.epsilon
-        generator = stream(config.seed, Stream.AP)
-        self.shape = ap_network(config)
-        self.agent = DQN(
-            self.shape,
-            config.agent,
-            config.agent.discount.ap,
-            [generator],
-            make_learner=make_learner,
-        )
+        self.agent = self._new_agent(stream(config.seed, Stream.AP))
         first = self.shape.initial_weights(stream(config.seed, Stream.WEIGHTS, 1))
         self.agent.load(np.stack([first, first]))
-        self._always = np.ones(1, dtype=bool)
 
-    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
-        """See ``PhaseAgent.act``."""
-        return self.agent.act(state, epsilon_at(self._epsilon, tick), self._always)
+    @abstractmethod
+    def _new_agent(self, generator: np.random.Generator) -> DQN | BranchingDQN:
+        """Makes the agent, its weights zero."""
 
     def settle(
         self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """See ``PhaseAgent.settle``: it stays with what it chose."""
         return phase
-
-    def learn(
-        self,
-        state: NDArray[np.float32],
-        action: NDArray[np.int64],
-        outcome: Outcome,
-        following: NDArray[np.float32],
-    ) -> None:
-        """See ``PhaseAgent.learn``: stores a transition and takes one gradient step."""
-        reward, terminal = outcome.global_reward, outcome.terminated
-        self.agent.learn(state, action.astype(np.int32), reward, following, terminal, self._always)
 
     def weights(self) -> NDArray[np.float32]:
         """See ``PhaseAgent.weights``."""
@@ -109,3 +94,38 @@ class AccessPoint:
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """See ``PhaseAgent.restore``."""
         self.agent.restore_agent(0, state)
+
+
+class AccessPoint(NetworkAgent):
+    """The global DQN of Section III-A: it sees all robots and picks the RIS's phases.
+
+    Args:
+        config: the run's configuration.
+        make_learner: a stack's seat, where several runs' access points learn together.
+    """
+
+    agent: DQN
+
+    def __init__(self, config: Config, make_learner: MakeLearner = Learner) -> None:
+        self._make_learner = make_learner
+        super().__init__(config)
+        self._always = np.ones(1, dtype=bool)
+
+    def _new_agent(self, generator: np.random.Generator) -> DQN:
+        agent, make = self._config.agent, self._make_learner
+        return DQN(self.shape, agent, agent.discount.ap, [generator], make_learner=make)
+
+    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
+        """See ``PhaseAgent.act``."""
+        return self.agent.act(state, epsilon_at(self._epsilon, tick), self._always)
+
+    def learn(
+        self,
+        state: NDArray[np.float32],
+        action: NDArray[np.int64],
+        outcome: Outcome,
+        following: NDArray[np.float32],
+    ) -> None:
+        """See ``PhaseAgent.learn``: stores a transition and takes one gradient step."""
+        reward, terminal = outcome.global_reward, outcome.terminated
+        self.agent.learn(state, action.astype(np.int32), reward, following, terminal, self._always)

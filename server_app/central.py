@@ -7,19 +7,17 @@ and the bits of the world are those of F-DRL.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any
+from abc import abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent import DQN, NO_ACTION, BranchingDQN, epsilon_at
-from conf import Config, ap_network, central_heads
+from conf import Config, central_heads
 from env import actions
 from env.link import Flag, Want
-from env.seeding import Stream, stream
-from env.world import Outcome, World
+from env.world import Outcome
+from server_app.access_point import NetworkAgent
 
 DRIVING = np.uint16(Flag.DRIVING)
 
@@ -61,29 +59,19 @@ class CommandedFleet:
         """See ``Fleet.close``."""
 
 
-class CentralAgent(ABC):
+class CentralAgent(NetworkAgent):
     """A ``PhaseAgent`` that commands the robots, too.
 
     Args:
         config: the run's configuration.
 
     Attributes:
-        shape: of its network.
-        agent: its DQN.
         fleet: the robots.
     """
 
     def __init__(self, config: Config) -> None:
-        self._config, self.shape = config, ap_network(config)
-        self._epsilon = config.agent.epsilon
-        self.agent = self._new_agent(stream(config.seed, Stream.AP))
-        first = self.shape.initial_weights(stream(config.seed, Stream.WEIGHTS, 1))
-        self.agent.load(np.stack([first, first]))
+        super().__init__(config)
         self.fleet = CommandedFleet(config.env.robots)
-
-    @abstractmethod
-    def _new_agent(self, generator: np.random.Generator) -> DQN | BranchingDQN:
-        """Makes the agent, its weights zero."""
 
     @abstractmethod
     def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
@@ -104,24 +92,6 @@ class CentralAgent(ABC):
         phase, orders = self._decide(state, epsilon_at(self._epsilon, tick))
         self.fleet.orders = np.where(self.fleet.driving, orders, NO_ACTION).astype(np.int32)
         return np.array([phase])
-
-    def settle(
-        self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """See ``PhaseAgent.settle``."""
-        return phase
-
-    def weights(self) -> NDArray[np.float32]:
-        """See ``PhaseAgent.weights``."""
-        return np.asarray(self.agent.weights()[0])
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """See ``PhaseAgent.state``."""
-        return self.agent.agent_state(0)
-
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """See ``PhaseAgent.restore``."""
-        self.agent.restore_agent(0, state)
 
 
 class JointAgent(CentralAgent):

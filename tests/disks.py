@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from chaos.hosts import call
+
 FILLER = "filler"
 
 
@@ -35,7 +37,7 @@ def small_disk(folder: Path, size: str = "4m") -> Iterator[None]:
 def read_only(folder: Path) -> Iterator[None]:
     """A folder with all that it holds that nobody can write to."""
     with _mounted(folder, "--bind", str(folder), str(folder)):
-        _call("mount", "-o", "remount,bind,ro", str(folder))
+        call("mount", "-o", "remount,bind,ro", str(folder))
         yield
 
 
@@ -53,19 +55,8 @@ def free(folder: Path) -> None:
 
 @contextmanager
 def _mounted(folder: Path, *how: str) -> Iterator[None]:
-    _call("mount", *how)
+    call("mount", *how)
     try:
         yield
     finally:
-        _call("umount", "--lazy", str(folder))
-
-
-def _call(*command: str) -> None:
-    """Runs a command.
-
-    Raises:
-        OSError: it failed, and what it said.
-    """
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise OSError(f"`{' '.join(command)}` failed: {done.stderr.strip()}")
+        call("umount", "--lazy", str(folder))

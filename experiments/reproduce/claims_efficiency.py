@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from experiments.reproduce.fig4_tables import Of
-from experiments.reproduce.points import LEARNED, PLANNED, PLANNED_AGAIN, Outcome, mean
+from experiments.reproduce.points import LEARNED, PLANNED, PLANNED_AGAIN, Of, Outcome, mean
 from experiments.reproduce.statistics import Floats, estimate
 from experiments.reproduce.verdicts import Check, Claim
 

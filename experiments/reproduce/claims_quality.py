@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from experiments.reproduce.claims_efficiency import KNEE, Pairs, claim
-from experiments.reproduce.fig5 import LEARNED, PLANNED, Values
+from experiments.reproduce.fig5 import Values
+from experiments.reproduce.points import LEARNED, PLANNED
 from experiments.reproduce.statistics import Floats
 from experiments.reproduce.verdicts import Claim
 

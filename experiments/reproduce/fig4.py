@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from conf import Config, overridden
 from experiments.reproduce.fig4_drawing import draw
@@ -70,6 +70,24 @@ def settings(quick: bool) -> list[Setting]:
     return [Setting(*each) for each in product(robots, sides, powers_dbm, ACCESSES)]
 
 
+class Named(Protocol):
+    """What is trained for a part of a figure."""
+
+    @property
+    def name(self) -> str:
+        """Of its cell."""
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """Hydra's."""
+
+
+def cells_of(which: Sequence[Named], quick: bool) -> list[Cell]:
+    """A cell for each part of a figure: three seeds, or a quick one."""
+    seeds, shorter = (QUICK_SEEDS[:1], QUICK) if quick else (THREE_SEEDS, ())
+    return [Cell(each.name, (*each.overrides, *shorter), seeds) for each in which]
+
+
 class Fig4:
     """The target ``fig4``.
 
@@ -88,8 +106,7 @@ class Fig4:
 
     def cells(self, quick: bool) -> list[Cell]:
         """A cell for each point; at full size three seeds of 60, 180 runs."""
-        seeds, shorter = (QUICK_SEEDS[:1], QUICK) if quick else (THREE_SEEDS, ())
-        return [Cell(each.name, (*each.overrides, *shorter), seeds) for each in settings(quick)]
+        return cells_of(settings(quick), quick)
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
         """Writes figure, what it draws, every seed's values, and tables of both.

@@ -9,20 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.reproduce.output import write_csv, write_table
-from experiments.reproduce.points import PLANNED, PLANNED_AGAIN, Outcome, Point, mean
+from experiments.reproduce.points import PLANNED, PLANNED_AGAIN, Of, Outcome, Point, mean
 from experiments.reproduce.statistics import Estimate, estimate
 
 AXES = {"robots": "K = {} over {}", "side": "M_R = {} over {}", "max_dbm": "{} over {} dBm"}
-
-
-class Of(NamedTuple):
-    """What an outcome is of, as the first five of ``Outcome``."""
-
-    robots: int
-    side: int
-    max_dbm: int
-    access: str
-    curve: str
 
 
 class Comparison(NamedTuple):

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from experiments.reproduce.along import Drive, learned, mirrored, planned
-from experiments.reproduce.fig4 import QUICK
+from experiments.reproduce.fig4 import cells_of
 from experiments.reproduce.fig5_drawing import Shown, draw_along, draw_ways
 from experiments.reproduce.output import save_figure, write_csv
-from experiments.reproduce.plan import QUICK_SEEDS, THREE_SEEDS, Cell
+from experiments.reproduce.plan import Cell
 from experiments.reproduce.planning import planned_values
+from experiments.reproduce.points import LEARNED, PLANNED
 from experiments.reproduce.runs import Run, Runs
 from server_app.evaluation import Evaluator
 
@@ -20,7 +21,6 @@ SIDES = (0, 20, 30, 40)
 QUICK_SIDES = (0, 30)
 METRICS = ("qos", "qoe")
 ROBOTS = 3
-LEARNED, PLANNED = "learned", "planned"
 GREEDY = 0.0
 ONE_START, HELD_OUT = "the figure's", "held out"
 
@@ -72,8 +72,7 @@ class Fig5:
 
     def cells(self, quick: bool) -> list[Cell]:
         """A cell for each M_R and metric; at full size three seeds of 8, 24 runs."""
-        seeds, shorter = (QUICK_SEEDS[:1], QUICK) if quick else (THREE_SEEDS, ())
-        return [Cell(each.name, (*each.overrides, *shorter), seeds) for each in settings(quick)]
+        return cells_of(settings(quick), quick)
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
         """Writes the ways, what robots are served along them, and the measures.

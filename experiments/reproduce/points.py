@@ -48,6 +48,16 @@ class Outcome(NamedTuple):
     greedy_success: float | None = None
 
 
+class Of(NamedTuple):
+    """What an outcome is of, as the first five of ``Outcome``."""
+
+    robots: int
+    side: int
+    max_dbm: int
+    access: str
+    curve: str
+
+
 class Point(NamedTuple):
     """A point of the figure.
 
@@ -78,9 +88,9 @@ class Point(NamedTuple):
 
 def points(found: Sequence[Outcome]) -> list[Point]:
     """Means and intervals over seeds, in the order of their first outcome."""
-    groups: dict[tuple[int, int, int, str, str], list[Outcome]] = {}
+    groups: dict[Of, list[Outcome]] = {}
     for each in found:
-        groups.setdefault(each[:5], []).append(each)
+        groups.setdefault(Of(*each[:5]), []).append(each)
     drawn = []
     for of, those in groups.items():
         ee = estimate([each.ee for each in those], mean)

@@ -143,7 +143,7 @@ class TwoHosts:
         _ip(*inside, "link", "set", DEVICE, "up")
         if self.kind == "netem":
             shape = ("delay", f"{self._delay_ms}ms", "loss", f"{self._loss_percent}%")
-            _call("tc", *inside, "qdisc", "add", "dev", DEVICE, "root", "netem", *shape)
+            call("tc", *inside, "qdisc", "add", "dev", DEVICE, "root", "netem", *shape)
 
 
 def _has_netem(namespace: str) -> bool:
@@ -153,15 +153,15 @@ def _has_netem(namespace: str) -> bool:
         return False
     made = subprocess.run(["tc", "-n", namespace, "qdisc", "add", *change], capture_output=True)
     if made.returncode == 0:
-        _call("tc", "-n", namespace, "qdisc", "del", "dev", "lo", "root")
+        call("tc", "-n", namespace, "qdisc", "del", "dev", "lo", "root")
     return made.returncode == 0
 
 
 def _ip(*arguments: str) -> None:
-    _call("ip", *arguments)
+    call("ip", *arguments)
 
 
-def _call(*command: str) -> None:
+def call(*command: str) -> None:
     """Runs a command.
 
     Raises:

@@ -276,7 +276,7 @@ def test_fig_5_writes_every_slot_and_every_measure(runs_of_fig5: Runs, tmp_path:
     assert len(kinds) == 4
     slots = rows_of(tmp_path / "fig5.csv")
     for setting in fig5.settings(True):
-        for policy in (fig5.LEARNED, fig5.PLANNED):
+        for policy in (LEARNED, PLANNED):
             of = [
                 row
                 for row in slots

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.cli import main
 from experiments.flower.processes import MARKER, Process, identify, members
 
 PATIENCE_S = 300.0
@@ -25,6 +26,14 @@ def with_changes(overrides: Sequence[str], *changes: str) -> list[str]:
     """Overrides with others put in the place of those of the same key."""
     keys = {change.split("=")[0] for change in changes}
     return [item for item in overrides if item.split("=")[0] not in keys] + list(changes)
+
+
+def digests_in_one_process(overrides: Sequence[str], folder: Path, *changes: str) -> dict[str, str]:
+    """The digests of a run of the command, to which nothing happens."""
+    given = with_changes(overrides, *changes, f"run.dir={folder}")
+    assert main(["train", *given]) == 0
+    found: dict[str, str] = summary(folder)["digest"]
+    return found
 
 
 def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str] | None = None) -> None:

@@ -14,6 +14,7 @@ import disks
 import pytest
 from flower_helpers import (
     PATIENCE_S,
+    digests_in_one_process,
     marker_below,
     start,
     state_of,
@@ -54,9 +55,7 @@ def expected(
 ) -> dict[str, str]:
     """The digests of the run in one process, to which nothing happens."""
     folder = tmp_path_factory.mktemp("whole") / "run"
-    assert main(["train", *with_changes(tiny_overrides, *TASK, f"run.dir={folder}")]) == 0
-    found: dict[str, str] = summary(folder)["digest"]
-    return found
+    return digests_in_one_process(tiny_overrides, folder, *TASK)
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 from flower_helpers import (
     PATIENCE_S,
+    digests_in_one_process,
     marker_below,
     start,
     state_of,
@@ -83,9 +84,7 @@ def expected(
 ) -> dict[str, str]:
     """The digests of the tiny task in one process."""
     folder = tmp_path_factory.mktemp("local") / "run"
-    assert main(["train", *with_changes(tiny_overrides, *LENGTH, f"run.dir={folder}")]) == 0
-    found: dict[str, str] = summary(folder)["digest"]
-    return found
+    return digests_in_one_process(tiny_overrides, folder, *LENGTH)
 
 
 # --- The same bits --------------------------------------------------------------------------------
