@@ -22,14 +22,29 @@ def new_folder(config: Config) -> Path:
         ConfigError: ``run.dir`` is in use.
     """
     if config.run.dir is None:
-        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}-k{config.env.robots}-s{config.seed}"
-        folder, count = Path("runs") / stem, 1
-        while folder.exists():
-            count += 1
-            folder = Path("runs") / f"{stem}-{count}"
-        return folder
+        return dated(Path("runs"), f"-k{config.env.robots}-s{config.seed}")
     check_unused(Path(config.run.dir))
     return Path(config.run.dir)
+
+
+def dated(parent: Path, ending: str = "") -> Path:
+    """Makes a folder that is named after the time; no other call gets it, in any process.
+
+    Raises:
+        ConfigError: it cannot be made.
+    """
+    stem, count = time.strftime("%Y-%m-%d_%H-%M-%S") + ending, 1
+    folder = parent / stem
+    while True:
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            count += 1
+            folder = parent / f"{stem}-{count}"
+        except OSError as error:
+            raise _unmade(folder, error) from error
+        else:
+            return folder
 
 
 def check_unused(folder: Path) -> None:
@@ -52,10 +67,13 @@ def placed(config: Config, folder: Path) -> tuple[Config, Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        allowed = f"a folder that can be made ({error.strerror})"
-        raise ConfigError.of([("run.dir", folder, allowed)]) from error
+        raise _unmade(folder, error) from error
     run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
     return dataclasses.replace(config, run=run), folder
+
+
+def _unmade(folder: Path, error: OSError) -> ConfigError:
+    return ConfigError.of([("run.dir", folder, f"a folder that can be made ({error.strerror})")])
 
 
 def clear(folder: Path, *, whole: bool = False) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -17,13 +16,14 @@ from omegaconf import DictConfig
 
 from conf import Config, ConfigError, from_composed, register_schema
 from conf.compose import FOLDER, check_overrides
-from experiments.folders import check_unused
+from experiments.folders import check_unused, dated
 from experiments.runner import ERRORS, INTERRUPTED, say, train, train_together
 from experiments.together import check_local
 from server_app.preflight import check, checked_training
 
 Combination = list[str]
 SEED = "seed="
+PLACES = ("hydra.sweep.dir", "hydra.sweep.subdir", "hydra.run.dir")
 
 
 def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
@@ -38,6 +38,9 @@ def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
     """
     check_overrides(overrides, sweep=True)
     hydra_keys = [item for item in overrides if item.startswith("hydra")]
+    for item in hydra_keys:
+        if item.split("=")[0] in PLACES:
+            raise ConfigError(f"{item}: allowed is run.dir=FOLDER, which a sweep's runs lie in.")
     every = _combinations(overrides)
     configs = [checked_training([*combination, *hydra_keys]) for combination in every]
     if together:
@@ -48,7 +51,7 @@ def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
     )
     if folder is not None:
         check_unused(Path(folder))
-    place = folder or time.strftime("multirun/%Y-%m-%d_%H-%M-%S")
+    place = folder or str(dated(Path("multirun")))
     rest = [item for item in overrides if not item.startswith("run.dir=")]
     if not together:
         return _sweep(

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from conf import Config, ConfigError, from_yaml
 from experiments import local, runner
 from experiments.cli import main
 from experiments.flower import FlowerError
+from experiments.folders import dated
 from server_app.session import STOP_FILE
 
 SMALL = (
@@ -121,6 +123,7 @@ def test_a_sweep_over_floor_plans_gives_what_single_runs_give(tmp_path: Path) ->
         ("env.robtos=1,2", "env.robtos is no key"),
         ("runtime=local,cloud", "runtime=cloud"),
         ("seed=0,one", "seed=one"),
+        ("hydra.sweep.dir=mine", "hydra.sweep.dir=mine: allowed is run.dir=FOLDER"),
     ],
 )
 def test_a_sweep_with_a_mistake_in_any_combination_starts_none(
@@ -143,6 +146,13 @@ def test_a_sweep_leaves_a_folder_in_use_as_it_is(
     assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 2
     assert "run.dir=sweep: allowed is a folder that is new or empty" in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "sweep").iterdir()] == ["notes.txt"]
+
+
+def test_folders_that_are_asked_for_in_the_same_second_are_different_ones(tmp_path: Path) -> None:
+    parent = tmp_path / "multirun"
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: dated(parent, "-k3"), range(24)))
+    assert len(set(found)) == len(found) == len(list(parent.iterdir()))
 
 
 def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(
