@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,6 +32,11 @@ EVERY_OPTION = (
     "agent.priority.alpha=0.6",
 )
 CHANGES = ("train.max_ticks=120", "state.every=3", "evaluation.every=1")
+
+
+def slow(*values: object) -> Any:
+    """A case that is like one of its neighbours: left to ``make test-all``."""
+    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 @pytest.fixture
@@ -67,10 +73,23 @@ def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     monkeypatch.setattr(session, "save_server", fatal)
 
 
-@pytest.mark.parametrize("strategy", ["fedavg", "fedavgm", "fedadam", "none", "fedprox"])
-@pytest.mark.parametrize("fading", ["static", "slot"])
+@pytest.mark.parametrize(
+    ("fading", "strategy"),
+    [
+        ("slot", "fedavg"),
+        ("static", "fedavgm"),
+        ("static", "fedadam"),
+        ("static", "none"),
+        ("static", "fedprox"),
+        slow("static", "fedavg"),
+        slow("slot", "fedavgm"),
+        slow("slot", "fedadam"),
+        slow("slot", "none"),
+        slow("slot", "fedprox"),
+    ],
+)
 def test_a_run_that_died_ends_in_the_same_bits(
-    train, strategy, fading, tmp_path, tiny_overrides, monkeypatch
+    train, fading, strategy, tmp_path, tiny_overrides, monkeypatch
 ) -> None:
     changes = [f"strategy={strategy}", f"env.channel.fading={fading}"]
     if strategy == "fedprox":
@@ -117,7 +136,7 @@ def test_a_run_may_be_moved(train, tmp_path) -> None:
 
 
 def test_a_killed_process_can_be_resumed(train, tiny_overrides, tmp_path) -> None:
-    length = ("train.max_ticks=6000", "train.episodes=1000000", "state.every=5")
+    length = ("train.max_ticks=3000", "train.episodes=1000000", "state.every=5")
     whole = train("whole", *length)
     folder = tmp_path / "killed"
     command = [sys.executable, "-m", "experiments.cli", "train", *tiny_overrides, *CHANGES]
@@ -225,17 +244,17 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
     "changes",
     [
         ["env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]"],
-        ["env.collisions=block", "env.walls.block_motion=true", "env.reward.distance=way"],
+        slow(["env.collisions=block", "env.walls.block_motion=true", "env.reward.distance=way"]),
         ["strategy=krum", "env.access=oma", "env.metric=qoe"],
-        ["baseline=centralized", "env.robots=2"],
-        ["baseline=branching"],
+        slow(["baseline=centralized", "env.robots=2"]),
+        slow(["baseline=branching"]),
         ["baseline=branching", "scheme.heads=shared", "agent.double=true"],
-        ["baseline=random_phase"],
+        slow(["baseline=random_phase"]),
         ["baseline=oracle_phase", "env.channel.fading=slot"],
-        ["strategy=fedmedian"],
+        slow(["strategy=fedmedian"]),
         ["strategy=fedadam", *EVERY_OPTION],
         ["baseline=centralized", "env.robots=2", *EVERY_OPTION],
-        ["baseline=branching", "agent.updates=2", *FALLING],
+        slow(["baseline=branching", "agent.updates=2", *FALLING]),
     ],
 )
 def test_other_worlds_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:

@@ -54,7 +54,7 @@ def exchange(path: Path, other: Path) -> None:
 
 DAMAGES = [
     pytest.param(cut, "is cut short or damaged", id="truncated"),
-    pytest.param(empty, "is cut short or damaged", id="empty"),
+    pytest.param(empty, "is cut short or damaged", id="empty", marks=pytest.mark.slow),
     pytest.param(flip, "was changed: its digest does not match", id="flipped"),
     pytest.param(exchange, f"is that of run {OTHER}, not of run {RUN}", id="another_run"),
 ]
