@@ -18,7 +18,8 @@ from env.world import World, draw_destinations
 from experiments.local import InProcessFleet
 from server_app.access_point import AccessPoint
 from server_app.central import CentralAgent
-from server_app.coordinator import Coordinator, Progress
+from server_app.coordinator import Coordinator
+from server_app.progress import Progress
 from server_app.schemes import build_central
 from server_app.strategies import build_aggregator
 

@@ -16,7 +16,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from server_app.recorder import MEASURES
+from server_app.history import MEASURES
 
 POLL_S = 0.5
 LINE_PERIOD_S = 10.0

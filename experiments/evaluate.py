@@ -19,9 +19,8 @@ from agent import single_threaded
 from conf import Config, ConfigError, from_yaml, learns_nothing, weight_shapes
 from experiments.display import evaluation_table
 from server_app.evaluation import Evaluator
+from server_app.files import to_json, write_atomically
 from server_app.preflight import checked
-from server_app.recorder import write_atomically
-from server_app.session import to_json
 
 EPSILONS = (0.0, 0.05)
 

@@ -15,7 +15,7 @@ from conf.places import STATE
 from env.link import LocalFleet, Want
 from server_app.central import CentralAgent
 from server_app.checkpoint import Checkpoint
-from server_app.recorder import report_failure
+from server_app.files import report_failure
 from server_app.session import Session, Share
 from server_app.turns import Turns, play_out
 

@@ -25,9 +25,8 @@ from env.propagation import phases
 from env.radio_map import RadioMap, build_radio_map
 from env.seeding import Stream, stream
 from experiments.evaluate import check_place
+from server_app.files import to_json, write_atomically
 from server_app.preflight import checked
-from server_app.recorder import write_atomically
-from server_app.session import to_json
 
 DRAWS = 16
 """Draws of a random phase for each element."""

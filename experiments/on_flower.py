@@ -25,8 +25,7 @@ from experiments.flower import (
 )
 from server_app import resume
 from server_app.checkpoint import Checkpoint, latest
-from server_app.recorder import report_failure, report_state, write_atomically
-from server_app.session import to_json
+from server_app.files import report_failure, report_state, to_json, write_atomically
 
 POLL_S = 1.0
 LOG_NAME = "flower.log"

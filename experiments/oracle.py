@@ -19,9 +19,8 @@ from conf import Config, ConfigError
 from experiments import gap
 from experiments.evaluate import check_place, not_negative, positive, read_config, read_weights
 from server_app.evaluation import Evaluator
+from server_app.files import to_json, write_atomically
 from server_app.preflight import checked
-from server_app.recorder import write_atomically
-from server_app.session import to_json
 
 EPISODES = 20
 SLACK = 4

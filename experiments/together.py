@@ -19,7 +19,8 @@ from experiments import local
 from experiments.folders import alone, clear, placed
 from server_app import resume
 from server_app.checkpoint import Checkpoint
-from server_app.session import Share, finite
+from server_app.files import finite
+from server_app.session import Share
 
 Ending = dict[str, Any] | Exception
 """What ``summary.json`` holds, or what ended a run before its end."""

@@ -17,6 +17,7 @@ from server_app import resume
 from server_app.certificates import run_certificate
 from server_app.checkpoint import Checkpoint
 from server_app.clients import Clients
+from server_app.files import report_failure
 from server_app.lifeline import Lifeline
 from server_app.nodes import wait_for_nodes
 from server_app.preflight import (
@@ -26,7 +27,6 @@ from server_app.preflight import (
     default_concurrency,
     uses_tls,
 )
-from server_app.recorder import report_failure
 
 NODES_PATIENCE_S = 2.0
 

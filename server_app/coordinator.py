@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,48 +18,16 @@ from agent import generator_state, restore_generator
 from conf import Config
 from env import actions
 from env.link import UPDATE, Flag, Fleet, Want
-from env.tally import EpisodeMeasures, EpisodeTally
+from env.tally import EpisodeTally
 from env.world import Outcome, World
 from server_app.access_point import PhaseAgent
 from server_app.aggregation import Aggregator
 from server_app.checkpoint import flat, part
+from server_app.progress import Observer, Progress
 from server_app.turns import Turns, play_out
 
 # As NumPy's own numbers: it would look for attributes on an enum's member at every use.
 OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARRIVED, Flag.DRIVING))
-
-
-@dataclass
-class Progress:
-    """Where a run is: counters that belong to its state.
-
-    Attributes:
-        tick: joint steps taken.
-        window: aggregations made.
-        episodes: training episodes that have ended.
-    """
-
-    tick: int = 0
-    window: int = 0
-    episodes: int = 0
-
-
-class Observer(Protocol):
-    """Whoever watches a run."""
-
-    def on_start(self) -> None:
-        """Every robot has joined and the first tick begins."""
-        ...
-
-    def on_episode(self, progress: Progress, measures: EpisodeMeasures) -> None:
-        """A training episode has ended."""
-        ...
-
-    def on_window(
-        self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
-    ) -> None:
-        """Weights after aggregation: robots (K, 2, P), or (1, 2, P) if all are the same."""
-        ...
 
 
 class Coordinator:

@@ -3,12 +3,60 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from conf import Config
+from env.drawing import trajectory_figure
+from server_app.evaluation import Evaluator, trajectories
+from server_app.history import History
+
 SMOOTHING = 10
+DRAWN_EPISODES = 3
+DPI = 130
+
+
+def save_figures(
+    folder: Path,
+    config: Config,
+    evaluator: Evaluator,
+    robots: NDArray[np.float32],
+    ap: NDArray[np.float32],
+    history: History,
+) -> None:
+    """Draws how a run learned, and the ways that its final policy drives.
+
+    Args:
+        folder: where to; made if it is missing.
+        config: of the run.
+        evaluator: of the run.
+        robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
+        ap: online weights of the access point, shape (P_AP,).
+        history: of the run.
+    """
+    folder.mkdir(exist_ok=True)
+    learning_curve(
+        [row["reward"] for row in history.episodes],
+        [row["success"] for row in history.episodes],
+        [int(row["episode"]) for row in history.evaluations],
+        [row["success"] for row in history.evaluations],
+        config.evaluation.epsilon,
+    ).savefig(folder / "learning_curve.png", dpi=DPI)
+    trace: list[NDArray[np.int64]] = []
+    evaluator.play(robots, ap, (0.0,), trace)
+    world = evaluator.world
+    centres = world.floor.centres()
+    ways = trajectories(trace, centres)[:, :DRAWN_EPISODES]
+    trajectory_figure(
+        config.env,
+        world.radio_map,
+        ways,
+        centres[world.destinations],
+        [f"held-out start {index + 1}, greedy" for index in range(ways.shape[1])],
+    ).savefig(folder / "trajectories.png", dpi=DPI)
 
 
 def running_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:

@@ -21,8 +21,8 @@ from env.link import LinkServer, LinkTimeout, RobotLost
 from env.link.errors import named
 from server_app.checkpoint import Checkpoint, newest
 from server_app.clients import Clients
+from server_app.files import report_state
 from server_app.nodes import Block, RoundError
-from server_app.recorder import report_state
 from server_app.rounds import FlowerFleet
 from server_app.session import Session
 

@@ -13,8 +13,8 @@ from agent import CheckpointError
 from conf import Config, ConfigError, compose, fingerprint, overridden, robots_learn, to_yaml
 from conf.places import STATE
 from server_app.checkpoint import Checkpoint, latest
+from server_app.files import check_files
 from server_app.preflight import check, checked_yaml
-from server_app.recorder import check_files
 
 PREFIX = "resume="
 MAY_CHANGE = ("train.episodes", "train.max_ticks")

@@ -18,8 +18,8 @@ from conf import Config, waits_for_the_lost, windows_per_round
 from env.link import LinkServer, LinkTimeout, RobotLost, Want
 from env.link.errors import named
 from server_app.clients import Clients, Opening
+from server_app.costs import Costs
 from server_app.nodes import POLL_S, Block, RoundError
-from server_app.session import Costs
 
 log = logging.getLogger(__name__)
 

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save
 
-from agent import Learner, MakeLearner, Writer, digest, single_threaded, write_whole
+from agent import Learner, MakeLearner, Writer, digest, single_threaded
 from conf import Config, fingerprint, robot_network, robots_learn, version
 from conf.places import STATE, owner
-from env.drawing import trajectory_figure
 from env.link import Fleet
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
@@ -25,14 +22,12 @@ from env.world import World, draw_destinations
 from server_app.checkpoint import Checkpoint, save_server
 from server_app.communication import per_tick, waiting
 from server_app.coordinator import Coordinator
-from server_app.evaluation import Evaluator, trajectories
-from server_app.figures import learning_curve
-from server_app.recorder import (
-    MEASURES,
-    Recorder,
-    evaluate,
-    write_atomically,
-)
+from server_app.costs import Costs
+from server_app.evaluation import Evaluator
+from server_app.figures import save_figures
+from server_app.files import save_weights, to_json, write_atomically
+from server_app.history import MEASURES, evaluate
+from server_app.recorder import Recorder
 from server_app.schemes import build_phase_agent
 from server_app.strategies import build_aggregator
 from server_app.turns import Turns, play_out
@@ -42,37 +37,6 @@ STOP_FILE = "stop"
 
 LAST_EVALUATIONS = 5
 FINAL_EPSILON = 0.05
-DRAWN_EPISODES = 3
-FIGURE_DPI = 130
-
-
-@dataclass(frozen=True)
-class Costs:
-    """What a runtime adds to a run.
-
-    Attributes:
-        flower_s: wall time after start-up in which joint steps stood still for Flower.
-        client_cpu_s: processor time of other processes that hold robots.
-        bytes_to_robots: bytes sent on the link.
-        bytes_from_robots: bytes received on it.
-        flower_bytes: bytes of weights in Flower messages, both ways.
-        waited_s: wall time in which the coordinator waited for actions.
-    """
-
-    flower_s: float = 0.0
-    client_cpu_s: float = 0.0
-    bytes_to_robots: int = 0
-    bytes_from_robots: int = 0
-    flower_bytes: int = 0
-    waited_s: float = 0.0
-
-    def plus(self, other: Costs) -> Costs:
-        """Both together."""
-        return Costs(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
-
-    def minus(self, other: Costs) -> Costs:
-        """What came after the other."""
-        return Costs(*(getattr(self, f.name) - getattr(other, f.name) for f in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -278,48 +242,7 @@ class Session:
         }
         write_atomically(self.folder / "summary.json", to_json(summary))
         if self.config.run.figures:
-            self._draw(online, ap[0])
+            save_figures(
+                self.folder / "figures", self.config, self.evaluator, online, ap[0], history
+            )
         return summary
-
-    def _draw(self, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
-        history = self.recorder.history
-        folder = self.folder / "figures"
-        folder.mkdir(exist_ok=True)
-        learning_curve(
-            [row["reward"] for row in history.episodes],
-            [row["success"] for row in history.episodes],
-            [int(row["episode"]) for row in history.evaluations],
-            [row["success"] for row in history.evaluations],
-            self.config.evaluation.epsilon,
-        ).savefig(folder / "learning_curve.png", dpi=FIGURE_DPI)
-        trace: list[NDArray[np.int64]] = []
-        self.evaluator.play(robots, ap, (0.0,), trace)
-        centres = self.world.floor.centres()
-        ways = trajectories(trace, centres)[:, :DRAWN_EPISODES]
-        trajectory_figure(
-            self.config.env,
-            self.radio_map,
-            ways,
-            centres[self.destinations],
-            [f"held-out start {index + 1}, greedy" for index in range(ways.shape[1])],
-        ).savefig(folder / "trajectories.png", dpi=FIGURE_DPI)
-
-
-def save_weights(path: Path, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
-    """Writes the final weights: ``robots`` (K, 2, P) and ``ap`` (2, P_AP), online then target."""
-    arrays = {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}
-    write_whole(path, save(arrays))
-
-
-def to_json(values: dict[str, Any]) -> str:
-    """Values as strict JSON: what is not a finite number becomes null."""
-    return json.dumps(finite(values), indent=2) + "\n"
-
-
-def finite(value: Any) -> Any:
-    """Values as JSON has them: what is not a finite number becomes None."""
-    if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value

@@ -13,7 +13,7 @@ from experiments.reproduce.runs import Run, Runs
 from experiments.reproduce.statistics import UNITS, Floats, difference, estimate
 from experiments.reproduce.verdicts import Check, Claim, exact
 from server_app.communication import per_tick
-from server_app.recorder import CONVERGED
+from server_app.history import CONVERGED
 
 FIG3 = "Section IV on Fig. 3"
 TWO = {"K": "K = 2"}

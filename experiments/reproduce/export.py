@@ -25,7 +25,7 @@ from experiments.reproduce.command import TARGETS
 from experiments.reproduce.fig3 import FEDERATED
 from experiments.reproduce.output import Row
 from experiments.reproduce.runs import Run
-from server_app.recorder import write_atomically
+from server_app.files import write_atomically
 
 WEIGHTS = {f"k{robots}": FEDERATED.format(robots) for robots in (2, 3, 4)}
 """Folders of weights, and the cells of Fig. 3 whose first seed they are of."""

@@ -20,7 +20,7 @@ from experiments.reproduce.plan import QUICK_SEEDS, SEEDS, Cell
 from experiments.reproduce.runs import Run, Runs
 from experiments.reproduce.statistics import UNITS, Floats
 from server_app.figures import running_mean
-from server_app.recorder import CONVERGED
+from server_app.history import CONVERGED
 
 SMOOTHING = 20
 """Episodes over which drawn rewards are averaged."""

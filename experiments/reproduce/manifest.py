@@ -13,7 +13,7 @@ from typing import Any
 from conf import fingerprint, version
 from experiments.reproduce.plan import Cell
 from experiments.reproduce.runs import Run
-from server_app.recorder import write_atomically
+from server_app.files import write_atomically
 
 DISTRIBUTIONS = ("risfleet", "torch", "numpy", "flwr", "hydra-core", "matplotlib")
 

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from server_app.recorder import write_atomically
+from server_app.files import write_atomically
 
 DPI = 150
 QUICK = "quick: few seeds and short runs, not for comparison"

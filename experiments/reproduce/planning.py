@@ -21,7 +21,7 @@ from conf import Config, ConfigError, fingerprint
 from experiments.oracle import SLACK
 from experiments.reproduce.along import planned
 from server_app.evaluation import Evaluator
-from server_app.recorder import write_atomically
+from server_app.files import write_atomically
 
 COLUMNS = (
     "key",

@@ -19,8 +19,8 @@ from experiments.reproduce.output import Row
 from experiments.reproduce.plan import COMMON
 from experiments.reproduce.runs import Run
 from experiments.reproduce.statistics import Floats
+from server_app.files import write_atomically
 from server_app.preflight import checked_training
-from server_app.recorder import write_atomically
 
 FILE = "check.csv"
 TICKS = 1000

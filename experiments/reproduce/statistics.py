@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from experiments.reproduce.runs import Run
-from server_app.recorder import CONVERGED
+from server_app.history import CONVERGED
 
 RESAMPLES = 4000
 LEVEL = 0.95

@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from conf import Config
 from experiments import together
 from experiments.reproduce.jobs import Job
-from server_app.recorder import report_failure
+from server_app.files import report_failure
 from server_app.session import STOP_FILE
 
 LOOK_S = 1.0

@@ -14,7 +14,7 @@ import pytest
 
 from conf import compose, from_yaml
 from experiments.cli import main
-from server_app.recorder import MEASURES
+from server_app.history import MEASURES
 
 Refused = Callable[..., str]
 

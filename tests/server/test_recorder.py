@@ -19,9 +19,11 @@ from conf import Config, from_yaml
 from env.world import World
 from experiments import local
 from experiments.display import read_progress
-from server_app.coordinator import Progress
-from server_app.recorder import EVALUATIONS, MEASURES, METRICS, History, Recorder
-from server_app.session import STOP_FILE, Session, to_json
+from server_app.files import to_json
+from server_app.history import EVALUATIONS, MEASURES, METRICS, History
+from server_app.progress import Progress
+from server_app.recorder import Recorder
+from server_app.session import STOP_FILE, Session
 
 Tiny = Callable[..., Config]
 KEYS = ("ticks", "windows", "episodes", "wall_s", "steps_per_s", "flower_share", "seed", "cpu_s")

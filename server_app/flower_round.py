@@ -1,0 +1,120 @@
+"""One round of a Flower strategy within this process: messages to virtual nodes, and replies."""
+
+from __future__ import annotations
+
+import logging
+import random
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+from flwr.app import Array, ArrayRecord, ConfigRecord, Message, MetricRecord, RecordDict
+from flwr.serverapp import Grid
+from flwr.serverapp.strategy import FedAvg
+from flwr.supercore.task_identity import TaskIdentity
+
+Weights = npt.NDArray[np.float32]
+
+_ARRAY = "weights"
+
+
+class _NodeList:
+    """All that ``configure_train`` asks of a grid: which nodes there are. Robot k is node k."""
+
+    def __init__(self, robots: int) -> None:
+        self._robots = robots
+
+    def get_node_ids(self) -> list[int]:
+        return list(range(1, self._robots + 1))
+
+
+def one_round(
+    strategy: FedAvg, window: int, current: Weights, uploads: Weights
+) -> npt.NDArray[np.float64]:
+    """Configures and aggregates: current (R, P) and uploads (K, R, P) give (R, P)."""
+    told = configure(strategy, window, _record(current), len(uploads))
+    replies = [
+        _reply(strategy, message, _record(upload))
+        for message, upload in zip(told, uploads, strict=True)
+    ]
+    arrays, _ = strategy.aggregate_train(window, replies)
+    if arrays is None:
+        raise ValueError(f"{type(strategy).__name__} refuses to aggregate {len(uploads)} robots")
+    return arrays[_ARRAY].numpy()
+
+
+def configure(strategy: FedAvg, window: int, arrays: ArrayRecord, robots: int) -> list[Message]:
+    """The messages of ``configure_train``, sorted by robot: Flower samples in random order."""
+    grid = cast(Grid, _NodeList(robots))
+    messages = strategy.configure_train(window, arrays, ConfigRecord(), grid)
+    return sorted(messages, key=lambda message: message.metadata.dst_node_id)
+
+
+def _reply(strategy: FedAvg, message: Message, arrays: ArrayRecord) -> Message:
+    metrics = MetricRecord({strategy.weighted_by_key: 1})
+    content = RecordDict({strategy.arrayrecord_key: arrays, "metrics": metrics})
+    return Message(content, reply_to=message)
+
+
+def _record(rows: Weights) -> ArrayRecord:
+    """A record with one array, since Flower's cost is by the array more than by the byte.
+
+    Each message needs a record of its own: some strategies take the arrays out.
+    """
+    record = ArrayRecord()
+    record[_ARRAY] = Array(rows.astype(np.float64))
+    return record
+
+
+def client_config(told: Sequence[Message]) -> dict[str, float]:
+    """What a strategy's messages tell the clients, the number of the round left out."""
+    (config,) = told[0].content.config_records.values()
+    return {
+        key: float(value)
+        for key, value in config.items()
+        if key != "server-round" and isinstance(value, int | float)
+    }
+
+
+# --- Flower's global state ------------------------------------------------------------------------
+
+
+@contextmanager
+def within_flower() -> Iterator[None]:
+    """Lets Flower's code run and leaves nothing behind in the process.
+
+    FedAvg draws nodes with the global ``random``, which is put back. Messages need the identity of
+    a Flower task, which is made up where the process has none (``runtime=local``) and left alone
+    where it has. Only this thread is silenced, so Flower's own threads may go on logging.
+    """
+    randomness = random.getstate()
+    unset = [name for name in _IDENTITY if getattr(TaskIdentity, name) is None]
+    silence = _Silence()
+    logger = logging.getLogger("flwr")
+    logger.addFilter(silence)
+    for name in unset:
+        setattr(TaskIdentity, name, 1)
+    try:
+        yield
+    finally:
+        for name in unset:
+            setattr(TaskIdentity, name, None)
+        logger.removeFilter(silence)
+        random.setstate(randomness)
+
+
+_IDENTITY = ("_task_id", "_run_id", "_node_id")
+
+
+class _Silence(logging.Filter):
+    """Drops what the thread that made it logs below an error."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._thread = threading.get_ident()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        return record.levelno >= logging.ERROR or threading.get_ident() != self._thread
