@@ -3,7 +3,7 @@
 | module | holds |
 |---|---|
 | `config` | the configuration's schema and checks |
-| `dueling` | value and advantages joined, and the way back |
+| `forms` | dueling and factored outputs made action values, and the way back |
 | `network` | the flat layout of a network, first weights, the forward used to act |
 | `replay` | transitions as packed rows in a ring |
 | `priority` | the same, drawn by how much they surprise |

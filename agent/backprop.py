@@ -20,7 +20,6 @@ import torch
 
 from agent.buffers import Scratch, aligned_zeros
 from agent.config import AgentConfig
-from agent.dueling import action_values, streams_slope
 from agent.losses import double_dqn_values, dqn_values, huber, td_target
 from agent.network import FloatArray, NetworkShape
 from agent.priority import Weighing
@@ -58,7 +57,9 @@ class Forward:
         self.inputs: FloatArray = self.activations[0][:, :, :-1].numpy()
         self.q: FloatArray = q.numpy()
         self._steps: list[Step] = []
-        last = aligned_zeros(*q.shape[:2], q.shape[2] + 1, q.shape[3]) if shape.dueling else q
+        form, last = shape.form, q
+        if form is not None:
+            last = aligned_zeros(*q.shape[:2], form.outputs, q.shape[3])
         outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), last]
         for matrix, activation, output in zip(
             shape.matrices(weights), self.activations, outputs, strict=True
@@ -66,9 +67,9 @@ class Forward:
             self._steps.append(_product(matrix.mT, activation, output, _TORCH_FROM))
             if output is not last:
                 self._steps.append(partial(torch.relu_, output))
-        if shape.dueling:
-            streams = last.numpy()
-            self._steps.append(lambda: np.copyto(self.q, action_values(streams, axis=2)))
+        if form is not None:
+            made, of = form.action_values, last.numpy()
+            self._steps.append(lambda: np.copyto(self.q, made(of, 2)))
 
     def run(self) -> None:
         """Computes `q` from `inputs`."""
@@ -104,9 +105,9 @@ class Backward:
         weights, gradients = shape.matrices(online), shape.matrices(gradient)
         self.slope: FloatArray = slopes[-1].numpy()
         self._steps: list[Step] = []
-        if shape.dueling:
+        if (form := shape.form) is not None:
             self.slope = aligned_zeros(len(online), shape.actions, slopes[-1].shape[-1]).numpy()
-            self._steps.append(partial(streams_slope, self.slope, slopes[-1].numpy()))
+            self._steps.append(partial(form.outputs_slope, self.slope, slopes[-1].numpy()))
         for depth in reversed(range(len(slopes))):
             read, slope = activations[depth][:, 0], slopes[depth]
             self._steps.append(_product(read, slope.mT, gradients[depth], _TORCH_GRADIENT_FROM))

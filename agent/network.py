@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agent.dueling import action_values
+from agent.forms import Dueling, Factored, Form
 
 FloatArray = NDArray[np.float32]
 Rows = TypeVar("Rows", FloatArray, torch.Tensor)
@@ -27,18 +27,29 @@ class NetworkShape:
     """Sizes of a multilayer perceptron with ReLU between its layers.
 
     With ``dueling`` the last layer has one output more, the value of the state, and what it says
-    of an action is that action's advantage (see `agent.dueling`).
+    of an action is that action's advantage. With ``factors``, whose product is the number of
+    actions, it has one for each choice of each part of an action (see `agent.forms`).
     """
 
     inputs: int
     hidden: tuple[int, ...]
     actions: int
     dueling: bool = False
+    factors: tuple[int, ...] = ()
+
+    @property
+    def form(self) -> Form | None:
+        """What makes action values of the last layer's outputs; None: they are."""
+        if self.factors:
+            return Factored(self.factors)
+        return Dueling(self.actions) if self.dueling else None
 
     @property
     def layers(self) -> list[tuple[int, int]]:
         """(inputs, outputs) of each layer, first to last."""
-        return list(pairwise((self.inputs, *self.hidden, self.actions + self.dueling)))
+        form = self.form
+        last = self.actions if form is None else form.outputs
+        return list(pairwise((self.inputs, *self.hidden, last)))
 
     @property
     def parameters(self) -> int:
@@ -104,18 +115,20 @@ def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray)
     Returns:
         Q(s, a), shape (n, B, actions).
     """
-    return forward(shape.views(weights), observations, shape.dueling)
+    return forward(shape.views(weights), observations, shape.form)
 
 
 def forward(
-    layers: Sequence[tuple[FloatArray, FloatArray]], observations: FloatArray, dueling: bool = False
+    layers: Sequence[tuple[FloatArray, FloatArray]],
+    observations: FloatArray,
+    form: Form | None = None,
 ) -> FloatArray:
     """The same as `q_values`, on views that the caller has kept.
 
     Args:
         layers: what `NetworkShape.views` gave.
         observations: shape (n, B, inputs).
-        dueling: whether the last output is the value of the state.
+        form: `NetworkShape.form`.
 
     Returns:
         Q(s, a), shape (n, B, actions).
@@ -127,4 +140,4 @@ def forward(
         x += bias[:, None]
         if depth < last:
             np.maximum(x, 0, out=x)
-    return action_values(x, axis=-1) if dueling else x
+    return x if form is None else form.action_values(x, axis=-1)

@@ -22,6 +22,19 @@ class JoinStreams(torch.nn.Module):
         return streams[:, -1:] + advantages - advantages.mean(1, keepdim=True)
 
 
+class AddUp(torch.nn.Module):
+    """Q(s, (a, b)) = Q_1(s, a) + Q_2(s, b)."""
+
+    def __init__(self, first, second):
+        """Takes the number of choices of both parts."""
+        super().__init__()
+        self.place = [(a, first + b) for a in range(first) for b in range(second)]
+
+    def forward(self, worth):
+        """Action values."""
+        return torch.stack([worth[:, a] + worth[:, b] for a, b in self.place], dim=1)
+
+
 class EagerDQN:
     """A DQN as one writes it in PyTorch: modules, autograd, ``torch.optim.Adam``."""
 
@@ -40,6 +53,8 @@ class EagerDQN:
             linear = torch.nn.Linear(*weight.shape[1:])
             linear.weight.data, linear.bias.data = weight[0].T.contiguous(), bias[0].clone()
             layers += [linear, torch.nn.ReLU()]
+        if shape.factors:
+            return torch.nn.Sequential(*layers[:-1], AddUp(*shape.factors))
         return torch.nn.Sequential(*layers[:-1], *[JoinStreams()] * shape.dueling)
 
     def update(self, seen, action, reward, following, terminal, weights):
@@ -89,6 +104,8 @@ class EagerDQN:
         ({}, 0.8, 0.05),
         ({"dueling": True}, 0.8, 0.0),
         ({"dueling": True, "double": True}, 0.8, 0.0),
+        ({"factored": True}, 0.8, 0.0),
+        ({"factored": True, "double": True}, 0.8, 0.0),
         ({"priority": PriorityConfig(alpha=0.5)}, 0.8, 0.0),
         ({"learning_rate_end": 1e-4, "learning_rate_updates": 150}, 0.8, 0.0),
     ],
@@ -101,6 +118,8 @@ class EagerDQN:
         "FedProx",
         "dueling",
         "double dueling",
+        "factored",
+        "double factored",
         "weighted",
         "falling rate",
     ],
