@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from client_app.robots import RobotGroup
 from conf import Config, compose, robot_network, robots_learn
+from env.destinations import draw_destinations
 from env.link import Fleet
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures
-from env.world import World, draw_destinations
+from env.world import World
 from experiments.local import InProcessFleet
 from server_app.access_point import AccessPoint
 from server_app.central import CentralAgent

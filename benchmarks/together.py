@@ -12,9 +12,10 @@ from benchmarks.local import Unwatched, configured, initial_weights
 from benchmarks.result import Result, micro, take_turns
 from client_app.robots import RobotGroup
 from conf import Config
+from env.destinations import draw_destinations
 from env.radio_map import RadioMap, build_radio_map
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 from experiments.local import InProcessFleet
 from server_app.access_point import AccessPoint
 from server_app.coordinator import Coordinator

@@ -12,9 +12,10 @@ from benchmarks.result import Result, Target, micro, take_turns
 from conf import compose
 from env import actions
 from env.config import EnvConfig
+from env.destinations import draw_destinations
 from env.radio_map import RadioMap, build_radio_map
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 
 BATCH = 256
 MADE = 512

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from agent import DQN, Learner, MakeLearner, epsilon_at
 from client_app.sanity import check_model, check_rewards, check_told
 from conf import Config, robot_network
+from env.destinations import draw_destinations
 from env.link import Flag, Step, Want
 from env.seeding import Stream, stream
 from env.slice import Slice
-from env.world import draw_destinations
 
 # As numbers: NumPy looks for attributes on an enum's member, which runs Python code whose errors
 # it drops, a KeyboardInterrupt among them.

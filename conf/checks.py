@@ -12,7 +12,7 @@ from conf.scheme_checks import problems as scheme_problems
 from env.config import Problem
 from env.config_checks import problems as env_problems
 from env.seeding import Stream, stream
-from env.world import draw_destinations
+from env.destinations import draw_destinations
 
 RUNTIMES = ("local", "simulation", "deployment")
 ON_LOSS = ("wait", "abort")

@@ -13,9 +13,10 @@ from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 from env import actions as robot_actions
 from env.checks import checked_config
 from env.config import EnvConfig
+from env.destinations import draw_destinations
 from env.floor import UNREACHABLE
 from env.seeding import Stream, stream
-from env.world import Outcome, World, draw_destinations
+from env.world import Outcome, World
 
 if TYPE_CHECKING:
     from env.picture import Picture

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config
+from env.destinations import draw_destinations
 from env.radio_map import RadioMap
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures, EpisodeTally
-from env.world import World, draw_destinations
+from env.world import World
 from server_app.policies import Exploration, Weights, frozen_policy
 
 Served = tuple[NDArray[np.int64], NDArray[np.int64]]

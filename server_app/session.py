@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from agent import Learner, MakeLearner, Writer, digest, single_threaded
 from conf import Config, fingerprint, robot_network, robots_learn, version
 from conf.places import STATE, owner
+from env.destinations import draw_destinations
 from env.link import Fleet
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 from server_app.checkpoint import Checkpoint, save_server
 from server_app.communication import per_tick, waiting
 from server_app.coordinator import Coordinator

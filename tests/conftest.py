@@ -121,8 +121,9 @@ def play() -> Callable[..., Played]:
         stop: Callable[[], bool] = lambda: False,
     ) -> Played:
         from conf import robot_network
+        from env.destinations import draw_destinations
         from env.seeding import Stream, stream
-        from env.world import World, draw_destinations
+        from env.world import World
         from server_app.access_point import AccessPoint
         from server_app.coordinator import Coordinator
         from server_app.strategies import build_aggregator

@@ -15,12 +15,13 @@ from env import floor_plans
 from env.checks import checked_config
 from env.config import EnvConfig
 from env.config_checks import problems
+from env.destinations import draw_destinations
 from env.floor import Floor
 from env.parallel_env import RISFleetParallelEnv
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
 from env.single_robot import SingleRobotEnv
-from env.world import World, draw_destinations
+from env.world import World
 from experiments.cli import main
 from server_app.app import _asked as asked_on_flower
 

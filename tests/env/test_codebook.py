@@ -17,6 +17,7 @@ from env.config import (
     phase_actions,
 )
 from env.config_checks import problems
+from env.destinations import draw_destinations
 from env.drawing import best_gain_db
 from env.floor import Floor
 from env.oracles import best_phase
@@ -24,7 +25,7 @@ from env.parallel_env import RISFleetParallelEnv
 from env.propagation import phases
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 
 AP_M, RIS_M = np.array([15.0, 30.0, 2.0]), np.array([30.0, 7.5, 2.0])
 CELLS = (0, 59, 900, 1234, 1799, 3599)

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from env.checks import checked_config
 from env.collisions import moves_without_collisions
 from env.config_checks import problems
+from env.destinations import draw_destinations
 from env.parallel_env import RISFleetParallelEnv
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 
 NORTH, SOUTH, EAST, WEST = range(4)
 TASKS = {

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from env.config import CHOICES, MAX_PHASE_ACTIONS, EnvConfig
 from env.config_checks import problems
+from env.destinations import draw_destinations
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 
 
 def changed(value, changes):

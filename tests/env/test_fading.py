@@ -9,11 +9,12 @@ import pytest
 from env import oracles
 from env.actions import encode
 from env.config import ChannelConfig, EnvConfig
+from env.destinations import draw_destinations
 from env.parallel_env import AP, RISFleetParallelEnv
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
 from env.slice import Slice
-from env.world import World, draw_destinations
+from env.world import World
 
 SLOT = EnvConfig(robots=3, channel=ChannelConfig(fading="slot"))
 FADINGS = ("static", "none", "slot")

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from env import oracles
 from env.checks import checked_config
+from env.destinations import draw_destinations
 from env.floor import STEPS
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 
 CONFIGS: dict[str, dict[str, Any]] = {
     "project": {},

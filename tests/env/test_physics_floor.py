@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from env.config import EnvConfig, RoomConfig, TasksConfig
+from env.destinations import draw_destinations
 from env.floor import DIRECTIONS, Floor, line_of_sight
 from env.seeding import Stream, stream
-from env.world import draw_destinations
 
 NO_WALLS = np.empty((0, 4))
 small = st.integers(2, 12)

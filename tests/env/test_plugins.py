@@ -13,10 +13,11 @@ import env
 from conf import ConfigError, compose, fingerprint
 from env import plugins, reward
 from env.checks import checked_config
+from env.destinations import draw_destinations
 from env.radio_map import build_radio_map
 from env.seeding import Stream, stream
 from env.slice import Slice
-from env.world import World, draw_destinations
+from env.world import World
 from experiments.cli import main
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text()

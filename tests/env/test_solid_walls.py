@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from env import guidance, oracles
 from env.checks import checked_config
+from env.destinations import draw_destinations
 from env.floor import STEPS, UNREACHABLE, Floor
 from env.parallel_env import RISFleetParallelEnv
 from env.seeding import Stream, stream
 from env.slice import Slice
-from env.world import World, draw_destinations
+from env.world import World
 
 lattice = st.integers(0, 16).map(lambda n: n / 4)
 segments = st.tuples(lattice, lattice, lattice, lattice).filter(lambda s: s[:2] != s[2:])

@@ -5,8 +5,9 @@ import pytest
 
 from env import radio_map, world
 from env.checks import checked_config
+from env.destinations import draw_destinations
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 
 SMALL = {"room": {"width_m": 10.0, "depth_m": 8.0}, "walls": {"segments": [[0.0, 4.0, 7.0, 4.0]]}}
 SMALL |= {"ap": {"position_m": [5.0, 8.0, 2.0]}, "ris": {"position_m": [10.0, 2.0, 2.0]}}

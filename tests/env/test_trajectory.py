@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from env import oracles, paths
 from env.checks import checked_config
+from env.destinations import draw_destinations
 from env.reward import energy_efficiency, metric, motion_energy_j
 from env.seeding import Stream, stream
 from env.tally import EpisodeTally
 from env.trajectory import Trajectory, best_trajectory, shortest_ways
-from env.world import World, draw_destinations
+from env.world import World
 
 
 def floor_of(cell_m: float, robots: int, **more: Any) -> World:

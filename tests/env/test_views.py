@@ -20,11 +20,12 @@ from pettingzoo.utils.conversions import parallel_to_aec
 import env
 from env import actions
 from env.config import EnvConfig, RisConfig
+from env.destinations import draw_destinations
 from env.drawing import missed, trajectory_figure
 from env.parallel_env import AP, RISFleetParallelEnv, parallel_env
 from env.seeding import Stream, stream
 from env.single_robot import SingleRobotEnv
-from env.world import World, draw_destinations
+from env.world import World
 
 SHORT = {"max_slots": 30}
 CONFIGS: dict[str, dict[str, Any]] = {

@@ -15,8 +15,9 @@ from safetensors.numpy import load_file
 
 from conf import Config, weight_shapes
 from env import actions
+from env.destinations import draw_destinations
 from env.seeding import Stream, stream
-from env.world import Outcome, World, draw_destinations
+from env.world import Outcome, World
 from experiments import local
 from server_app.central import BranchingAgent, CentralAgent, JointAgent, joint_reward
 from server_app.coordinator import Coordinator

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from client_app.state import Keeper
 from conf import Config, robot_network
 from env import actions
+from env.destinations import draw_destinations
 from env.link import LinkServer, ServerLost, Want, serve
 from env.link.messages import Flag
 from env.seeding import Stream, stream
-from env.world import Outcome, World, draw_destinations
+from env.world import Outcome, World
 from server_app.coordinator import Coordinator
 from server_app.strategies import build_aggregator
 

@@ -11,8 +11,9 @@ import pytest
 from safetensors.numpy import load_file
 
 from conf import Config
+from env.destinations import draw_destinations
 from env.seeding import Stream, stream
-from env.world import World, draw_destinations
+from env.world import World
 from experiments import local
 from server_app.phase_rules import PhaseRule, fixed_phase
 
