@@ -133,6 +133,6 @@ def _spread(own: float | None, all_: Sequence[float], form: str) -> str:
 def _sizes(player: Player) -> str:
     cells = [player.name]
     for network in (robot_network(player.run.config), ap_network(player.run.config)):
-        widths = network.inputs, *network.hidden, network.actions
+        widths = network.inputs, *(width for _, width in network.layers)
         cells += [" - ".join(map(str, widths)), f"{network.parameters:,}"]
     return f"| {' | '.join(cells)} |"
