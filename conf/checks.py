@@ -11,8 +11,8 @@ from conf.schema import Config
 from conf.scheme_checks import problems as scheme_problems
 from env.config import Problem
 from env.config_checks import problems as env_problems
-from env.seeding import Stream, stream
 from env.destinations import draw_destinations
+from env.seeding import Stream, stream
 
 RUNTIMES = ("local", "simulation", "deployment")
 ON_LOSS = ("wait", "abort")

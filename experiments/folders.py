@@ -8,7 +8,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from conf import Config, ConfigError
@@ -35,16 +35,16 @@ def dated(parent: Path, ending: str = "") -> Path:
     """
     stem, count = time.strftime("%Y-%m-%d_%H-%M-%S") + ending, 1
     folder = parent / stem
-    while True:
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            with suppress(FileExistsError):
+                folder.mkdir()
+                return folder
             count += 1
             folder = parent / f"{stem}-{count}"
-        except OSError as error:
-            raise _unmade(folder, error) from error
-        else:
-            return folder
+    except OSError as error:
+        raise _unmade(folder, error) from error
 
 
 def check_unused(folder: Path) -> None:

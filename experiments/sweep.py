@@ -37,9 +37,9 @@ def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
         The exit status.
     """
     check_overrides(overrides, sweep=True)
-    hydra_keys = [item for item in overrides if item.startswith("hydra")]
+    hydra_keys = [item for item in overrides if item.lstrip("+").startswith("hydra")]
     for item in hydra_keys:
-        if item.split("=")[0] in PLACES:
+        if item.split("=")[0].lstrip("+") in PLACES:
             raise ConfigError(f"{item}: allowed is run.dir=FOLDER, which a sweep's runs lie in.")
     every = _combinations(overrides)
     configs = [checked_training([*combination, *hydra_keys]) for combination in every]

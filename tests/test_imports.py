@@ -38,8 +38,10 @@ PACKAGE = "env"
 VIEWS = {"env.drawing", "env.picture", "env.parallel_env", "env.single_robot"}
 PHYSICS = [
     "env." + name
-    for name in ("allocation", "oracles", "radio_map", "seeding", "slice", "tally", "world")
-]
+    for name in (
+        "allocation", "destinations", "oracles", "radio_map", "seeding", "slice", "tally", "world"
+    )
+]  # fmt: skip
 
 
 @cache

@@ -63,6 +63,7 @@ MISTAKES = [
     (["baseline=branching", "agent.n_step=3"], "agent.n_step=3: allowed is 1 with scheme.agents="),
     (["baseline=branching", "agent.dueling=true"], "agent.dueling=True: allowed is false with "),
     (["baseline=branching", "agent.factored=true"], "agent.factored=True: allowed is false with "),
+    (["baseline=centralized", "env.robots=2", "agent.factored=true"], "agent.factored=True: allow"),
     (["agent.dueling=true", "agent.factored=true"], "agent.factored=True: allowed is false with "),
     (["baseline=branching", "agent.priority.alpha=.5"], "agent.priority.alpha=0.5: allowed is 0"),
     (["baseline=shortest_best", "runtime=simulation"], "runtime.name=simulation: allowed is local"),

@@ -123,6 +123,7 @@ def test_a_sweep_over_floor_plans_gives_what_single_runs_give(tmp_path: Path) ->
         ("env.robtos=1,2", "env.robtos is no key"),
         ("runtime=local,cloud", "runtime=cloud"),
         ("seed=0,one", "seed=one"),
+        ("++hydra.sweep.subdir=mine", "hydra.sweep.subdir=mine: allowed is run.dir=FOLDER"),
         ("hydra.sweep.dir=mine", "hydra.sweep.dir=mine: allowed is run.dir=FOLDER"),
     ],
 )
@@ -153,6 +154,14 @@ def test_folders_that_are_asked_for_in_the_same_second_are_different_ones(tmp_pa
     with ThreadPoolExecutor(8) as pool:
         found = list(pool.map(lambda _: dated(parent, "-k3"), range(24)))
     assert len(set(found)) == len(found) == len(list(parent.iterdir()))
+
+
+def test_a_folder_that_cannot_be_made_is_said_in_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs").symlink_to(tmp_path / "unmounted" / "disk")
+    assert main(["train", *SMALL]) == 2
+    assert "allowed is a folder that can be made (" in capsys.readouterr().err
 
 
 def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(

@@ -34,7 +34,8 @@ from omegaconf import OmegaConf
 import conf
 from agent.limits import WEIGHT_LIMIT, magnitude
 from conf import StrategyConfig
-from server_app.aggregation import Aggregator, Scope, Weights
+from server_app.aggregation import Aggregator, Scope
+from server_app.flower_round import Weights
 from server_app.strategies import STRATEGIES, build_aggregator, problems
 
 P = 203
