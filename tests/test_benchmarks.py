@@ -17,7 +17,17 @@ from client_app.robots import RobotGroup
 from conf.places import robot_folder, server_folder
 
 
-@pytest.mark.parametrize("name", ["engine", "worlds", "parts", "scaling", "together", "central"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "engine",
+        "worlds",
+        "parts",
+        "scaling",
+        "together",
+        pytest.param("central", marks=pytest.mark.slow),
+    ],
+)
 def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):
     path = tmp_path / "bench.json"
     assert main(["--quick", "--only", name, "--json", str(path)]) == 0

@@ -111,6 +111,7 @@ def test_the_drivable_floor_is_the_largest_part(walls):
     assert {*np.flatnonzero(floor.drivable()).tolist()} == largest
 
 
+@pytest.mark.slow
 def test_ways_over_250000_cells_with_walls():
     wall = [[0.0, 125.0, 249.0, 125.0]]
     floor = floor_of(wall, 500, 500)

@@ -300,6 +300,7 @@ def test_the_command_leaves_the_folders_of_a_plain_sweep(
     assert [run["runs_together"] for run in found] == [2, 2, 2, 2]
 
 
+@pytest.mark.slow
 def test_a_sweep_of_one_agent_for_everything_is_run_one_by_one(
     command: Callable[..., int], tmp_path: Path
 ) -> None:

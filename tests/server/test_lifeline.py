@@ -106,7 +106,7 @@ def test_losses_one_after_the_other_cost_no_bit(
     assert [loss["back_to"] for loss in summary["losses"]] == [0, 4, 6, 8]
 
 
-@pytest.mark.parametrize("per_round", [1, 3, 5])
+@pytest.mark.parametrize("per_round", [1, 3, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_client_that_dies_before_its_reply_costs_no_bit(
     deployed: Tiny, run: Any, digests: Any, per_round: int
 ) -> None:
