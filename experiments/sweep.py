@@ -41,7 +41,7 @@ def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
     for item in hydra_keys:
         if item.split("=")[0].lstrip("+") in PLACES:
             raise ConfigError(f"{item}: allowed is run.dir=FOLDER, which a sweep's runs lie in.")
-    every = _combinations(overrides)
+    every = _combinations([item for item in overrides if item not in hydra_keys])
     configs = [checked_training([*combination, *hydra_keys]) for combination in every]
     if together:
         for config in configs:
@@ -127,9 +127,9 @@ def _sweep(
 
 
 def _combinations(overrides: Sequence[str]) -> list[Combination]:
-    ours = [item for item in overrides if not item.startswith("hydra")]
+    """Every combination of a run's overrides, Hydra's own keys left out."""
     try:
-        parsed = OverridesParser.create().parse_overrides(ours)
+        parsed = OverridesParser.create().parse_overrides(list(overrides))
         batches = BasicSweeper.split_arguments(parsed, max_batch_size=None)
     except HydraException as error:
         raise ConfigError(str(error).splitlines()[0]) from error

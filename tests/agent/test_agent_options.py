@@ -243,9 +243,7 @@ def test_dueling_streams_are_joined_as_a_hand_computed_case():
 
 
 def test_what_choices_are_worth_adds_up_to_a_hand_computed_case():
-    worth = np.array(
-        [[[1, 2], [3, 0], [10, 20], [30, 40], [50, 60]]], np.float32
-    )  # 2 and 3 choices
+    worth = np.array([[[1, 2], [3, 0], [10, 20], [30, 40], [50, 60]]], np.float32)
     form = Factored((2, 3))  # of two choices, then of three
     added = form.action_values(worth, axis=1)
     assert added[0, :, 0].tolist() == [11, 31, 51, 13, 33, 53]
