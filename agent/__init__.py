@@ -10,14 +10,13 @@
 | `returns` | transitions of several slots stored as one |
 | `exploration` | the epsilon schedule and random choices |
 | `losses` | TD targets and the Huber loss |
-| `interface` | what agents ask of a learner |
 | `buffers` | memory of stacked agents, and the scratch of a gradient step |
 | `backprop` | forward and backward of stacked agents, by hand |
+| `interface` | what agents ask of a learner |
 | `learner` | weights, gradients and Adam of stacked agents |
 | `stack` | n agents' replays, streams and state |
 | `dqn` | `DQN`: the above as n agents that act, learn, save and go on |
 | `heads`, `branching` | one network, a head for each part of a decision: `BranchingDQN` |
-| `seats` | `Stack`: one learner for the agents of several runs |
 | `streams` | a random stream's state as an array |
 | `storage` | atomic checkpoints and digests |
 | `threads` | one thread of arithmetic per process |
@@ -37,10 +36,8 @@ from agent.config import (
 from agent.dqn import DQN
 from agent.exploration import NO_ACTION, epsilon_at
 from agent.heads import Heads
-from agent.interface import MakeLearner
 from agent.learner import Learner
 from agent.network import NetworkShape, q_values
-from agent.seats import Stack, goes_together
 from agent.storage import (
     CheckpointError,
     Writer,
@@ -64,17 +61,14 @@ __all__ = [
     "EpsilonConfig",
     "Heads",
     "Learner",
-    "MakeLearner",
     "NetworkShape",
     "PriorityConfig",
-    "Stack",
     "TargetConfig",
     "Writer",
     "checkpoints",
     "digest",
     "epsilon_at",
     "generator_state",
-    "goes_together",
     "load_checkpoint",
     "naming",
     "problems",

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from agent.config import AgentConfig
 from agent.exploration import explore
-from agent.interface import MakeLearner
 from agent.learner import Learner
 from agent.network import FloatArray, NetworkShape
 from agent.replay import RowLayout
@@ -34,7 +33,6 @@ class DQN(ReplayAgents):
         discount: float,
         generators: Sequence[np.random.Generator],
         proximal_mu: float = 0.0,
-        make_learner: MakeLearner = Learner,
     ) -> None:
         """Makes agents with weights of zero; `load` gives them their first ones.
 
@@ -44,9 +42,8 @@ class DQN(ReplayAgents):
             discount: at least 0 and below 1.
             generators: each agent's own, n of them.
             proximal_mu: FedProx's mu; 0 leaves the term out.
-            make_learner: a stack's seat, where agents of several runs learn together.
         """
-        learner = make_learner(shape, config, discount, len(generators), proximal_mu)
+        learner = Learner(shape, config, discount, len(generators), proximal_mu)
         super().__init__(shape, config, learner, generators)
         self._layout = RowLayout(shape.inputs)
         if config.n_step > 1 and discount:  # without a discount nothing further is ahead
@@ -65,7 +62,7 @@ class DQN(ReplayAgents):
             active: who acts, shape (n,).
 
         Returns:
-            Actions, -1 for the idle, shape (n,); in a stack they stand there once it has caught up.
+            Actions, -1 for the idle, shape (n,).
         """
         choices = explore(self._generators, epsilon, self.shape.actions, active)
         self._learner.choose(observations, choices)

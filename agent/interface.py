@@ -1,4 +1,4 @@
-"""What agents ask of a learner, which is their own or one that several runs share."""
+"""What agents ask of a learner, whatever its networks are."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.config import AgentConfig
-from agent.network import FloatArray, NetworkShape
+from agent.network import FloatArray
 from agent.priority import Weighing
 
 
 class Learns(Protocol):
-    """What agents ask of a learner: `Learner`, or a seat in a stack of several runs.
+    """What agents ask of a learner: `Learner`, or one of networks with several heads.
 
     Attributes and methods are those of `agent.learner.Learner`.
     """
@@ -36,19 +35,4 @@ class Learns(Protocol):
 
     def choose(self, observations: FloatArray, choices: NDArray[np.int32]) -> None:
         """See `Learner.choose`."""
-        ...
-
-
-class MakeLearner(Protocol):
-    """Makes a learner, as `Learner` itself does."""
-
-    def __call__(
-        self,
-        shape: NetworkShape,
-        config: AgentConfig,
-        discount: float,
-        agents: int,
-        proximal_mu: float = 0.0,
-    ) -> Learns:
-        """See `Learner.__init__`."""
         ...

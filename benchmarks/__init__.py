@@ -5,7 +5,6 @@
 | `engine` | the stacked learner against four plain ones |
 | `worlds` | a joint step of the world against CartPole, and worlds in a batch |
 | `scaling` | joint steps and updates per second for 1 to 32 robots in one process |
-| `together` | runs of several seeds in one stack against one by one |
 | `parts` | where the time of a local joint step goes |
 | `deployment` | the link's share of a joint step, and what lockstep costs |
 | `runs` | whole runs: simulation against local, Flower's share, evaluations' share |

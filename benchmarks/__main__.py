@@ -22,7 +22,6 @@ BENCHMARKS = {
     "worlds": "world_",
     "parts": "part_",
     "scaling": "steps_per_s_ updates_vs_",
-    "together": "together_",
     "central": "centralized_ branching_",
     "deployment": "link_share lockstep_efficiency lockstep_cpu_vs_free waiting_share",
     "lockstep": "lockstep_bound_ lockstep_of_bound_",

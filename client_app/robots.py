@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import DQN, Learner, MakeLearner, epsilon_at
+from agent import DQN, epsilon_at
 from client_app.sanity import check_model, check_rewards, check_told
 from conf import Config, robot_network
 from env.destinations import draw_destinations
@@ -29,7 +29,6 @@ class RobotGroup:
     Args:
         config: the run's configuration.
         robots: which robots these are, indices below K.
-        make_learner: a stack's seat, where the robots of several runs learn together.
 
     Attributes:
         robots: the same.
@@ -39,9 +38,7 @@ class RobotGroup:
         window: the window of the last step.
     """
 
-    def __init__(
-        self, config: Config, robots: Sequence[int], make_learner: MakeLearner = Learner
-    ) -> None:
+    def __init__(self, config: Config, robots: Sequence[int]) -> None:
         self.robots, self.run = tuple(robots), config.run.id
         self._epsilon = config.agent.epsilon
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
@@ -52,7 +49,6 @@ class RobotGroup:
             config.agent.discount.robot,
             [stream(config.seed, Stream.ROBOT, robot) for robot in robots],
             proximal_mu=config.strategy.proximal_mu,
-            make_learner=make_learner,
         )
         self.parameters = self.agents.shape.parameters
         self.window = 0

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from agent import (
     CheckpointError,
-    Learner,
-    MakeLearner,
     Writer,
     load_checkpoint,
     save_checkpoint,
@@ -35,7 +33,6 @@ class Keeper:
         config: the run's configuration.
         robots: which robots these are.
         state: the folder of checkpoints on this machine; None writes none.
-        make_learner: a stack's seat, where the robots of several runs learn together.
 
     Attributes:
         parameters: P, of one network.
@@ -46,12 +43,10 @@ class Keeper:
         config: Config,
         robots: Sequence[int],
         state: Path | None,
-        make_learner: MakeLearner = Learner,
     ) -> None:
         self._config, self._state = config, state
-        self._make_learner = make_learner
         self._ended: tuple[int, bool] | None = None
-        self._group = RobotGroup(config, robots, make_learner)
+        self._group = RobotGroup(config, robots)
         self.parameters = self._group.parameters
         self._writer = Writer()
 
@@ -94,7 +89,7 @@ class Keeper:
         """
         self._writer.wait()
         self._ended = None
-        self._group = RobotGroup(self._config, self._group.robots, self._make_learner)
+        self._group = RobotGroup(self._config, self._group.robots)
         if window:
             if self._state is None:
                 raise CheckpointError(f"no checkpoint {window} was kept: state.every is null")

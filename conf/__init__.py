@@ -2,14 +2,13 @@
 
 from conf.checks import problems
 from conf.compose import (
-    ConfigError,
     compose,
-    from_composed,
     from_yaml,
     overridden,
     register_schema,
     to_yaml,
 )
+from conf.errors import ConfigError
 from conf.fingerprint import fingerprint, version
 from conf.networks import (
     ap_network,
@@ -39,7 +38,6 @@ __all__ = [
     "compose",
     "fingerprint",
     "flower_clients",
-    "from_composed",
     "from_yaml",
     "joint_actions",
     "learns_nothing",

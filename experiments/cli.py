@@ -5,8 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
 
-from env.plugins import PluginError
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("agent", "client_app", "conf", "env", "server_app")
 
 USAGE = """\
 usage: risfleet COMMAND ...
@@ -31,13 +34,12 @@ Examples:
 Keys and their defaults: risfleet train --cfg"""
 
 TRAIN_USAGE = """\
-usage: risfleet train [-m [--together] | --cfg] [KEY=VALUE ...]
+usage: risfleet train [-m | --cfg] [KEY=VALUE ...]
 
 Trains a fleet and writes a run folder.
 
   KEY=VALUE        sets a key, such as env.robots=4, or a group, such as experiment=quick
   -m, --multirun   runs every combination of the values given as KEY=A,B,...
-  --together       trains the seeds of a sweep side by side: faster, and the same weights
   --cfg            prints every key with its value and trains nothing
   -h, --help       prints this"""
 
@@ -59,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: the command line without the program's name; ``sys.argv`` if None.
 
     Returns:
-        The exit status: 0, 1 where a run failed, 2 for a user's mistake, 130 after Ctrl-C.
+        The exit status: 0, 1 where a run failed, 2 for a user's mistake, 130 after Ctrl-C, 143
+        after SIGTERM.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if not given or given[0] in ("-h", "--help", "help"):
@@ -78,6 +81,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if name in _USAGES and not {"-h", "--help"}.isdisjoint(rest):
         print(_USAGES[name])
         return 0
+    if hidden := _hidden_package():
+        print(f"risfleet: {hidden}", file=sys.stderr)
+        return 2
+    from env.plugins import PluginError
+
     try:
         return command(rest)
     except KeyboardInterrupt:
@@ -85,6 +93,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PluginError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
+
+
+def _hidden_package() -> str:
+    """Which package of ours another one hides, in a sentence; empty if none does."""
+    for name in PACKAGES:
+        spec = find_spec(name)
+        origin = Path(str(spec.origin)).resolve() if spec is not None else None
+        if origin != ROOT / name / "__init__.py":
+            say = f"rename it, or take its folder off PYTHONPATH; RISFleet's own is in {ROOT}"
+            return f"{origin} hides the package {name} of RISFleet: {say}."
+    return ""
 
 
 def _train(arguments: Sequence[str]) -> int:

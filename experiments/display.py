@@ -6,11 +6,10 @@ import json
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from rich.console import Console, Group
+from rich.console import Console
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
@@ -141,19 +140,19 @@ class Showing(ABC):
 
 
 class Display(Showing):
-    """Shows the progress of runs while they last, from what they write to their folders.
+    """Shows the progress of a run while it lasts, from what it writes to its folder.
 
     Live on a terminal; elsewhere a plain line every ten seconds. It reads files only, so it shows
     every runtime alike.
 
     Args:
-        folders: the runs'.
+        folder: the run's.
         console: where to show.
     """
 
-    def __init__(self, folders: Sequence[Path], console: Console) -> None:
+    def __init__(self, folder: Path, console: Console) -> None:
         super().__init__("display")
-        self._folders, self._console = folders, console
+        self._folder, self._console = folder, console
 
     def _run(self) -> None:
         if not self._console.is_terminal:
@@ -161,38 +160,30 @@ class Display(Showing):
             return
         with Live(console=self._console, refresh_per_second=4, transient=True) as live:
             while not self._ended.wait(POLL_S):
-                found = [(folder, read_progress(folder)) for folder in self._folders]
-                panels = [_panel(status, self._name(folder)) for folder, status in found if status]
-                live.update(Group(*panels))
+                if (status := read_progress(self._folder)) is not None:
+                    live.update(_panel(status))
 
     def _print_lines(self) -> None:
-        shown, printed = dict.fromkeys(self._folders, ""), dict.fromkeys(self._folders, 0.0)
+        shown, printed = "", 0.0
         while True:
             ended = self._ended.wait(POLL_S)
-            for folder in self._folders:
-                status = read_progress(folder)
-                due = not ended and time.monotonic() - printed[folder] >= LINE_PERIOD_S
-                if status is not None and (due or status["state"] != shown[folder]):
-                    shown[folder], printed[folder] = status["state"], time.monotonic()
-                    self._print_line(self._name(folder), status)
+            status = read_progress(self._folder)
+            due = not ended and time.monotonic() - printed >= LINE_PERIOD_S
+            if status is not None and (due or status["state"] != shown):
+                shown, printed = status["state"], time.monotonic()
+                self._print_line(status)
             if ended:
                 return
 
-    def _print_line(self, name: str, status: dict[str, Any]) -> None:
+    def _print_line(self, status: dict[str, Any]) -> None:
         line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
         if status["state"] == "waiting":
             line = f"waiting: {status['message']}"
-        self._console.print(f"{name}{line}", highlight=False, soft_wrap=True)
-
-    def _name(self, folder: Path) -> str:
-        """What stands before a run's progress: nothing where there is one run."""
-        return f"{folder.name}: " if len(self._folders) > 1 else ""
+        self._console.print(line, highlight=False, soft_wrap=True)
 
 
-def _panel(status: dict[str, Any], name: str = "") -> Table:
+def _panel(status: dict[str, Any]) -> Table:
     outer = Table.grid(padding=(0, 0))
-    if name:
-        outer.add_row(name)
     outer.add_row(ProgressBar(total=1.0, completed=share_done(status), width=60))
     figures = Table.grid(padding=(0, 2))
     columns = describe(status)

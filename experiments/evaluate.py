@@ -17,6 +17,7 @@ from safetensors.numpy import load_file
 
 from agent import single_threaded
 from conf import Config, ConfigError, from_yaml, learns_nothing, weight_shapes
+from conf.user_paths import user_path
 from experiments.display import evaluation_table
 from server_app.evaluation import Evaluator
 from server_app.files import to_json, write_atomically
@@ -40,7 +41,7 @@ def main(arguments: Sequence[str]) -> int:
     title = f"{' '.join(given.what)}: {episodes} held-out episodes"
     Console().print(evaluation_table(title, results))
     if given.json:
-        write_atomically(Path(given.json), to_json(results))
+        write_atomically(given.json, to_json(results))
     return 0
 
 
@@ -82,13 +83,10 @@ def evaluate(
 
 def _read(what: Sequence[str]) -> tuple[Config, NDArray[np.float32], NDArray[np.float32]]:
     """A run's configuration and online weights; or a configuration in which nothing learns."""
-    if any("=" not in item or Path(item).is_dir() for item in what):
-        if len(what) > 1:
-            raise ConfigError(
-                f"{' '.join(what)}: allowed is one run folder, or KEY=VALUE ... alone."
-            )
-        config = read_config(Path(what[0]))
-        return config, *read_weights(Path(what[0]), config)
+    folder = run_folder(what)
+    if folder is not None:
+        config = read_config(folder)
+        return config, *read_weights(folder, config)
     config = checked(what)
     if not learns_nothing(config):
         raise ConfigError(
@@ -98,6 +96,18 @@ def _read(what: Sequence[str]) -> tuple[Config, NDArray[np.float32], NDArray[np.
     shapes = weight_shapes(config)
     none = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
     return config, none["robots"][:, 0], none["ap"][0]
+
+
+def run_folder(what: Sequence[str]) -> Path | None:
+    """The run's folder that arguments name; None where they set keys.
+
+    Raises:
+        ConfigError: there are keys beside it.
+    """
+    folders = [user_path(item) for item in what if "=" not in item or user_path(item).is_dir()]
+    if folders and len(what) > 1:
+        raise ConfigError(f"{' '.join(what)}: allowed is one run folder, or KEY=VALUE ... alone.")
+    return folders[0] if folders else None
 
 
 def _epsilons(config: Config, given: Sequence[float] | None) -> Sequence[float]:
@@ -144,7 +154,7 @@ def read_config(folder: Path) -> Config:
         raise ConfigError(f"{folder} is no run folder: {path.name} cannot be read.") from error
 
 
-def check_place(option: str, file: str | None) -> None:
+def check_place(option: str, file: Path | None) -> None:
     """Finds a place where no file can be written before anything is worked out.
 
     Raises:
@@ -152,10 +162,9 @@ def check_place(option: str, file: str | None) -> None:
     """
     if file is None:
         return
-    path = Path(file)
-    if not file or path.is_dir() or not path.absolute().parent.is_dir():
+    if file.is_dir() or not file.absolute().parent.is_dir():
         raise ConfigError(f"{option} {file}: allowed is a file in a folder that exists.")
-    if not os.access(path.absolute().parent, os.W_OK):
+    if not os.access(file.absolute().parent, os.W_OK):
         raise ConfigError(f"{option} {file}: allowed is a file in a folder that can be written to.")
 
 
@@ -174,7 +183,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
     )
-    parser.add_argument("--json", metavar="FILE", help="write the measures there too")
+    parser.add_argument(
+        "--json", type=user_path, metavar="FILE", help="write the measures there too"
+    )
     return parser
 
 

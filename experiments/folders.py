@@ -63,13 +63,23 @@ def placed(config: Config, folder: Path) -> tuple[Config, Path]:
     Raises:
         ConfigError: it cannot be made.
     """
+    folder = made(folder)
+    run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
+    return dataclasses.replace(config, run=run), folder
+
+
+def made(folder: Path) -> Path:
+    """Makes a folder, if it is not there; returns its absolute path.
+
+    Raises:
+        ConfigError: it cannot be made.
+    """
     folder = folder.absolute()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise _unmade(folder, error) from error
-    run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
-    return dataclasses.replace(config, run=run), folder
+    return folder
 
 
 def _unmade(folder: Path, error: OSError) -> ConfigError:
@@ -77,9 +87,10 @@ def _unmade(folder: Path, error: OSError) -> ConfigError:
 
 
 def clear(folder: Path, *, whole: bool = False) -> None:
-    """Removes what a run that goes on says anew, and of one that begins again its events, too."""
-    for stale in ("progress.json", "summary.json"):
-        (folder / stale).unlink(missing_ok=True)
+    """Removes what a run that goes on says anew, and of one that begins again what it had said."""
+    stale = ["progress.json", "summary.json"]
+    for name in stale + (["metrics.csv", "evaluations.csv"] if whole else []):
+        (folder / name).unlink(missing_ok=True)
     if whole:
         shutil.rmtree(folder / "tensorboard", ignore_errors=True)
 

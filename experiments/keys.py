@@ -8,11 +8,12 @@ robots and the world makes a certificate for itself whenever a run starts.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from shlex import join
 
+from conf.user_paths import user_path
 from experiments.flower.keys import FleetKeys, KeysError, NodeKeys, add_nodes, make_keys
 
 PORT = 8000
@@ -22,7 +23,7 @@ PORT = 8000
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
-    folder = Path(given.folder)
+    folder = user_path(given.folder)
     try:
         if given.add is not None:
             if given.host or given.nodes is not None:
@@ -62,7 +63,7 @@ a SuperNode's folder to its own host only.
 # In the file config.toml in ~/.flwr of whoever starts runs:
 [superlink.risfleet]
 address = "{_address(host)}"
-root-certificates = "{keys.authority.resolve()}"
+root-certificates = {json.dumps(str(keys.authority.resolve()), ensure_ascii=False)}
 """
 
 

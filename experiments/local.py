@@ -16,8 +16,7 @@ from env.link import LocalFleet, Want
 from server_app.central import CentralAgent
 from server_app.checkpoint import Checkpoint
 from server_app.files import report_failure
-from server_app.session import Session, Share
-from server_app.turns import Turns, play_out
+from server_app.session import Session
 
 
 class InProcessFleet(LocalFleet):
@@ -46,28 +45,14 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     Returns:
         What ``summary.json`` holds.
     """
-    return play_out(turns(config, folder, Share(), resumed))
-
-
-def turns(
-    config: Config, folder: Path, share: Share, resumed: Checkpoint | None = None
-) -> Turns[dict[str, Any]]:
-    """The same, with a pause wherever the agents of runs beside it may learn with its own.
-
-    Args:
-        config: the run's configuration.
-        folder: the run's folder.
-        share: what the run has of this process.
-        resumed: where the run goes on, if it does not begin.
-    """
     try:
-        session = Session(config, folder, resumed, share=share)
+        session = Session(config, folder, resumed)
         if isinstance(session.ap, CentralAgent):
-            return (yield from session.turns(session.ap.fleet))
+            return session.train(session.ap.fleet)
         robots = tuple(range(config.env.robots))
         state = None if config.state.every is None else folder / STATE
-        with closing(Keeper(config, robots, state, share.robots)) as keeper:
-            return (yield from session.turns(InProcessFleet([(robots, keeper)])))
+        with closing(Keeper(config, robots, state)) as keeper:
+            return session.train(InProcessFleet([(robots, keeper)]))
     except BaseException as error:
         report_failure(folder, error)
         raise

@@ -7,7 +7,6 @@ import dataclasses
 import math
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,6 +16,7 @@ from rich.table import Table
 
 from agent import single_threaded
 from conf import ConfigError
+from conf.user_paths import user_path
 from env.codebook import Panel, factors
 from env.config import EnvConfig
 from env.drawing import best_gain_db, draw_floor
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str]) -> int:
         config = checked(given.overrides).env
         check_place("--json", given.json)
         check_place("--out", given.out)
-        if given.out and not given.out.endswith(".png"):
+        if given.out and given.out.suffix != ".png":
             raise ConfigError(f"--out {given.out}: allowed is a file that ends in .png.")
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str]) -> int:
     measures = means(gains, radio_map.direct_los, reached)
     Console().print(_table(config, measures))
     if given.json:
-        write_atomically(Path(given.json), to_json(measures))
+        write_atomically(given.json, to_json(measures))
     if given.out:
         map_figure(config, radio_map).savefig(given.out, dpi=120)
     return 0
@@ -163,6 +163,8 @@ def _cell(value: float | None) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet map", description=__doc__)
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="sets a key")
-    parser.add_argument("--out", metavar="FILE.png", help="draw the best gain over the floor there")
-    parser.add_argument("--json", metavar="FILE", help="write the gains there too")
+    parser.add_argument(
+        "--out", type=user_path, metavar="FILE.png", help="draw the best gain over the floor there"
+    )
+    parser.add_argument("--json", type=user_path, metavar="FILE", help="write the gains there too")
     return parser

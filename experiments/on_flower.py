@@ -23,7 +23,6 @@ from experiments.flower import (
     SimulationSuperLink,
     Status,
 )
-from server_app import resume
 from server_app.checkpoint import Checkpoint, latest
 from server_app.files import report_failure, report_state, to_json, write_atomically
 
@@ -133,7 +132,7 @@ def _last(config: Config, folder: Path) -> Checkpoint | None:
 
 def _run(config: Config, folder: Path, resumes: bool) -> None:
     """Hands the run in and waits for its end."""
-    what = f"{resume.PREFIX}{folder}" if resumes else to_yaml(config)
+    what = f"resume={folder}" if resumes else to_yaml(config)
     with _runner(config, folder) as runner:
         run_id = runner.submit(shlex.quote(what))
         while not (status := runner.status(run_id)).finished:

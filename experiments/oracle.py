@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,16 @@ from rich.table import Table
 
 from agent import single_threaded
 from conf import Config, ConfigError
+from conf.user_paths import user_path
 from experiments import gap
-from experiments.evaluate import check_place, not_negative, positive, read_config, read_weights
+from experiments.evaluate import (
+    check_place,
+    not_negative,
+    positive,
+    read_config,
+    read_weights,
+    run_folder,
+)
 from server_app.evaluation import Evaluator
 from server_app.files import to_json, write_atomically
 from server_app.preflight import checked
@@ -53,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
     title = f"{' '.join(given.what) or 'defaults'}: {given.episodes} held-out episodes"
     _show(Console(), title, results)
     if given.json:
-        write_atomically(Path(given.json), to_json(results))
+        write_atomically(given.json, to_json(results))
     return 0
 
 
@@ -107,13 +114,11 @@ def _read(
     what: Sequence[str],
 ) -> tuple[Config, tuple[NDArray[np.float32], NDArray[np.float32]] | None]:
     """The configuration, and a run's weights where a folder is given."""
-    folders = [item for item in what if "=" not in item or Path(item).is_dir()]
-    if not folders:
+    folder = run_folder(what)
+    if folder is None:
         return checked(list(what)), None
-    if len(what) > 1:
-        raise ConfigError(f"{' '.join(what)}: allowed is one run folder, or KEY=VALUE ... alone.")
-    config = read_config(Path(folders[0]))
-    return config, read_weights(Path(folders[0]), config)
+    config = read_config(folder)
+    return config, read_weights(folder, config)
 
 
 def _shown(starts: Iterable[NDArray[np.int64]]) -> Iterable[NDArray[np.int64]]:
@@ -161,5 +166,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
     )
-    parser.add_argument("--json", metavar="FILE", help="write the measures there too")
+    parser.add_argument(
+        "--json", type=user_path, metavar="FILE", help="write the measures there too"
+    )
     return parser

@@ -1,12 +1,11 @@
-"""Runs as the command line starts them: a folder each, progress, and Ctrl-C."""
+"""Runs as the command line starts them: a folder each, progress, and what ends them early."""
 
 from __future__ import annotations
 
-import signal
+import dataclasses
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from rich.console import Console
@@ -16,10 +15,11 @@ from conf import Config, ConfigError
 from conf.places import STATE, server_folder
 from env.link import LinkError
 from env.plugins import PluginError
-from experiments import local, on_flower, together
+from experiments import local, on_flower
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
 from experiments.folders import alone, clear, placed
+from experiments.stopping import StopSignals
 from server_app import resume
 from server_app.checkpoint import Checkpoint
 from server_app.session import STOP_FILE
@@ -54,71 +54,90 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
         resumed: where the run goes on, if it does not begin.
 
     Returns:
-        0, or 130 if Ctrl-C ended the run early.
+        0, or what ``StopSignals.status`` says if a signal ended the run early.
     """
     console = Console()
     config, folder = _shown(config, folder, console)
     with alone(folder):
         if resumed is not None:
-            for reason in resumed.passed_over:
-                console.print(f"passed over: {reason}", highlight=False, soft_wrap=True)
-            console.print(f"going on from window {resumed.window}", highlight=False)
             clear(folder)
-        with StopOnInterrupt([folder], console) as stop, Display([folder], console):
-            try:
-                summary = RUNTIMES[config.runtime.name](config, folder, resumed)
-            except ERRORS as error:
-                if checkpoints(server_folder(folder / STATE)):
-                    error.add_note(f"To go on: risfleet train {resume.PREFIX}{folder}")
-                raise
+        return _train_shown(config, folder, resumed, console)
+
+
+def train_missing(config: Config) -> int:
+    """Trains and shows what the run in ``run.dir`` still misses, which may be all or nothing.
+
+    Returns:
+        See ``train``.
+
+    Raises:
+        ConfigError: the folder holds another run, or another process goes on in it.
+    """
+    console = Console()
+    config, folder = _shown(config, Path(str(config.run.dir)), console)
+    with alone(folder):
+        config, found = _ready(config, folder)
+        if isinstance(found, dict):
+            console.print("done before", highlight=False)
+            return 0
+        return _train_shown(config, folder, found, console)
+
+
+def train_quietly(config: Config) -> dict[str, Any]:
+    """Trains what the run in ``run.dir`` still misses, and shows nothing.
+
+    Returns:
+        What ``summary.json`` holds.
+
+    Raises:
+        ConfigError: the folder holds another run, or another process goes on in it.
+    """
+    config, folder = placed(config, Path(str(config.run.dir)))
+    with alone(folder):
+        config, found = _ready(config, folder)
+        if isinstance(found, dict):
+            return found
+        return RUNTIMES[config.runtime.name](config, folder, found)
+
+
+def _ready(config: Config, folder: Path) -> tuple[Config, dict[str, Any] | Checkpoint | None]:
+    """What a run has come to, or where it goes on, its folder made ready for that.
+
+    Returns:
+        The configuration, with the identity that the run has had so far, and what
+        ``resume.standing`` says.
+    """
+    found = resume.standing(config, folder)
+    if not isinstance(found, dict):
+        clear(folder, whole=found is None)
+    if isinstance(found, Checkpoint):
+        identity = found.meta.get("run")
+        config = dataclasses.replace(config, run=dataclasses.replace(config.run, id=identity))
+    return config, found
+
+
+def _train_shown(config: Config, folder: Path, resumed: Checkpoint | None, console: Console) -> int:
+    """Trains a run whose folder is held, with progress and signals."""
+    if resumed is not None:
+        for reason in resumed.passed_over:
+            console.print(f"passed over: {reason}", highlight=False, soft_wrap=True)
+        console.print(f"going on from window {resumed.window}", highlight=False)
+    with StopSignals([folder / STOP_FILE], console) as stop, Display(folder, console):
+        try:
+            summary = RUNTIMES[config.runtime.name](config, folder, resumed)
+        except ERRORS as error:
+            if checkpoints(server_folder(folder / STATE)):
+                error.add_note(f"To go on: {resume.how(folder)}")
+            raise
     if summary:
         show_summary(console, summary, folder)
     else:
         console.print("The run has ended; its folder is on the machine of the ServerApp.")
-    return _ended(stop, console)
-
-
-def train_together(runs: Sequence[tuple[Config, Path]]) -> int:
-    """Trains runs side by side in this process and shows them; one that fails says why.
-
-    They follow one another where they have nothing to share.
-
-    Args:
-        runs: checked configurations that differ in nothing but their seeds, and new folders.
-
-    Returns:
-        0, 1 if a run failed, or 130 if Ctrl-C ended them early.
-    """
-    if len(runs) == 1 or not together.can_share(runs[0][0]):
-        return _one_by_one(runs)
-    console = Console()
-    configs, folders = zip(*(_shown(*run, console) for run in runs), strict=True)
-    with StopOnInterrupt(folders, console) as stop, Display(folders, console):
-        endings = together.train(configs, folders)
-    status = 0
-    for ending, folder in zip(endings, folders, strict=True):
-        if not isinstance(ending, Exception):
-            show_summary(console, ending, folder)
-        elif isinstance(ending, ERRORS):
-            status = max(status, say(ending))
-        else:
-            raise ending
-    return _ended(stop, console) or status
-
-
-def _one_by_one(runs: Sequence[tuple[Config, Path]]) -> int:
-    """The same, one after the other."""
-    statuses = [0]
-    for run in runs:
-        try:
-            status = train(*run)
-        except ERRORS as error:
-            say(error)
-            status = 1
-        if status == INTERRUPTED:
-            return status
-        statuses.append(status)
-    return max(statuses)
+    if stop.asked:
+        console.print(
+            f"Stopped early by {stop.name}: what was learned until then is in the run folder."
+        )
+    return stop.status
 
 
 def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, Path]:
@@ -126,45 +145,3 @@ def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, Path
     config, folder = placed(config, folder)
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
     return config, folder
-
-
-def _ended(stop: StopOnInterrupt, console: Console) -> int:
-    if stop.asked:
-        console.print("Stopped early by Ctrl-C: what was learned until then is in the run folder.")
-    return INTERRUPTED if stop.asked else 0
-
-
-class StopOnInterrupt:
-    """Ctrl-C asks runs to end at their next aggregation; a second one ends them at once.
-
-    Args:
-        folders: the runs'.
-        console: where to say so.
-    """
-
-    def __init__(self, folders: Sequence[Path], console: Console) -> None:
-        self._files, self._console = [folder / STOP_FILE for folder in folders], console
-        self.asked = False
-
-    def __enter__(self) -> StopOnInterrupt:
-        """Takes Ctrl-C over."""
-        self._forget()  # those of runs that were killed
-        self._before = signal.signal(signal.SIGINT, self._on_interrupt)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Gives Ctrl-C back."""
-        signal.signal(signal.SIGINT, self._before)
-        self._forget()
-
-    def _forget(self) -> None:
-        for file in self._files:
-            file.unlink(missing_ok=True)
-
-    def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
-        for file in self._files:
-            file.touch()
-        self._console.print("Stopping at the next aggregation; Ctrl-C again stops at once.")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from conf.user_paths import user_path
 from experiments.display import describe, read_progress, silent_s
 
 SILENT_S = 10.0
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
     if len(arguments) != 1:
         print("risfleet: status needs one run folder: risfleet status RUN", file=sys.stderr)
         return 2
-    folder = Path(arguments[0])
+    folder = user_path(arguments[0])
     status = read_progress(folder)
     if status is None:
         print(f"risfleet: {folder} holds no run that has begun", file=sys.stderr)

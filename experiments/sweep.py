@@ -1,136 +1,115 @@
-"""``risfleet train -m``: a run for each combination of values, seeds together where asked for."""
+"""``risfleet train -m``: a run for each combination of values."""
 
 from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from hydra import main as hydra_main
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
-from omegaconf import DictConfig
+from hydra.core.override_parser.types import Override
+from rich.console import Console
 
-from conf import Config, ConfigError, from_composed, register_schema
-from conf.compose import FOLDER, check_overrides
-from experiments.folders import check_unused, dated
-from experiments.runner import ERRORS, INTERRUPTED, say, train, train_together
-from experiments.together import check_local
-from server_app.preflight import check, checked_training
+from conf import Config, ConfigError
+from conf.overrides import combinations, is_hydras, lines, parse
+from experiments.batch import train as batch
+from experiments.batch.launcher import build_launcher
+from experiments.batch.states import check_folder
+from experiments.folders import alone, dated, made
+from experiments.runner import ERRORS, say, train_missing
+from server_app.preflight import checked_training
+from server_app.session import STOP_FILE
 
-Combination = list[str]
-SEED = "seed="
-PLACES = ("hydra.sweep.dir", "hydra.sweep.subdir", "hydra.run.dir")
+DIR = "run.dir"
+BASIC = "hydra/launcher=basic"
+LEFT = {STOP_FILE, "multirun.yaml"}
+"""What a sweep's folder may hold beside its runs' own."""
 
 
-def train_all(overrides: Sequence[str], *, together: bool = False) -> int:
+def train_all(overrides: Sequence[str]) -> int:
     """Runs every combination of a sweep, all of them checked before the first one starts.
+
+    Without a launcher they follow one another in this process. In a folder that holds this sweep
+    already, runs that have ended are left as they are, and those that have begun go on.
 
     Args:
         overrides: some of them with several values.
-        together: whether runs that differ in nothing but their seed are trained side by side.
 
     Returns:
-        The exit status.
+        The exit status: 0, 1 where a run failed, or that of the signal that ended the runs early.
     """
-    check_overrides(overrides, sweep=True)
-    hydra_keys = [item for item in overrides if item.lstrip("+").startswith("hydra")]
-    for item in hydra_keys:
-        if item.split("=")[0].lstrip("+") in PLACES:
-            raise ConfigError(f"{item}: allowed is run.dir=FOLDER, which a sweep's runs lie in.")
-    every = _combinations([item for item in overrides if item not in hydra_keys])
-    configs = [checked_training([*combination, *hydra_keys]) for combination in every]
-    if together:
-        for config in configs:
-            check_local(config)
-    folder = next(
-        (item.split("=", 1)[1] for item in overrides if item.startswith("run.dir=")), None
-    )
+    parsed = parse(overrides, sweep=True, launcher=True)
+    launcher = lines([item for item in parsed if is_hydras(item)])
+    runs = [item for item in parsed if not is_hydras(item) and item.key_or_group != DIR]
+    configs = [checked_training(combination) for combination in combinations(runs)]
+    folder = _folder([item for item in parsed if item.key_or_group == DIR])
     if folder is not None:
-        check_unused(Path(folder))
-    place = folder or str(dated(Path("multirun")))
-    rest = [item for item in overrides if not item.startswith("run.dir=")]
-    if not together:
-        return _sweep(
-            rest, place, "${hydra.job.num}", lambda config, folder, _: train(config, folder)
-        )
-    groups = _groups(every)
-    seeds = [config.seed for config in configs]
-
-    def train_group(config: Config, folder: Path, number: int) -> int:
-        jobs = groups[number]
-        runs = [(dataclasses.replace(config, seed=seeds[job]), folder / str(job)) for job in jobs]
-        return train_together(runs)
-
-    firsts = [item if not item.startswith(SEED) else f"{SEED}{seeds[0]}" for item in rest]
-    return _sweep(firsts, place, ".", train_group)
+        configs = _numbered(configs, folder)
+        _check_unused(folder, configs)
+    shown = launcher in ([], [BASIC])
+    if not shown:
+        build_launcher(print, launcher, folder or Path(), 1)  # a mistake leaves no folder behind
+    if folder is None:
+        folder = dated(Path("multirun"))
+        configs = _numbered(configs, folder)
+    folder = made(folder)
+    with alone(folder):
+        return _one_by_one(configs) if shown else _at_once(configs, folder, launcher)
 
 
-def _groups(every: Sequence[Combination]) -> list[list[int]]:
-    """The jobs of a sweep, by number, in groups that differ in nothing but their seed."""
-    found: dict[tuple[str, ...], list[int]] = {}
-    for number, combination in enumerate(every):
-        rest = tuple(item for item in combination if not item.startswith(SEED))
-        found.setdefault(rest, []).append(number)
-    return list(found.values())
-
-
-def _sweep(
-    overrides: Sequence[str], place: str, subfolder: str, job: Callable[[Config, Path, int], int]
-) -> int:
-    """Lets Hydra call a job for every combination, with its folder and its number.
-
-    Args:
-        overrides: of the sweep.
-        place: its folder.
-        subfolder: a job's folder in it.
-        job: returns an exit status.
-
-    Returns:
-        The largest of them.
-    """
-    statuses: list[int] = []
-
-    def run(node: DictConfig) -> None:
-        hydra = HydraConfig.get()
-        config = check(from_composed(node, hydra.overrides.task))
+def _one_by_one(configs: Sequence[Config]) -> int:
+    status = 0
+    for config in configs:
         try:
-            status = job(config, Path(hydra.runtime.output_dir), int(hydra.job.num))
+            ended = train_missing(config)
         except ERRORS as error:  # what fails leaves the others to go on
             say(error)
             status = 1
-        if status == INTERRUPTED:
-            raise KeyboardInterrupt
-        statuses.append(status)
-
-    register_schema()
-    before, sys.argv = (
-        sys.argv,
-        [
-            "risfleet",
-            "--multirun",
-            *overrides,
-            f"hydra.sweep.dir={place}",
-            f"hydra.sweep.subdir={subfolder}",
-            "hydra.output_subdir=null",
-            "hydra/job_logging=none",
-        ],
-    )
-    try:
-        hydra_main(config_path=str(FOLDER), config_name="config", version_base="1.3")(run)()
-    finally:
-        sys.argv = before
-    return max(statuses, default=0)
+        else:
+            if ended:
+                return ended
+    return status
 
 
-def _combinations(overrides: Sequence[str]) -> list[Combination]:
-    """Every combination of a run's overrides, Hydra's own keys left out."""
-    try:
-        parsed = OverridesParser.create().parse_overrides(list(overrides))
-        batches = BasicSweeper.split_arguments(parsed, max_batch_size=None)
-    except HydraException as error:
-        raise ConfigError(str(error).splitlines()[0]) from error
-    return [list(combination) for batch in batches for combination in batch]
+def _at_once(configs: Sequence[Config], folder: Path, launcher: Sequence[str]) -> int:
+    console = Console()
+    console.print(f"sweep folder: {folder}", highlight=False, soft_wrap=True)
+    outcome = batch.train(configs, folder, console, launcher)
+    for run, why in outcome.failed.items():
+        print(f"risfleet: {run} failed: {why}", file=sys.stderr)
+    if outcome.signal:
+        console.print(f"Stopped early by {outcome.signal}: the same command goes on.")
+    elif not outcome.status:
+        console.print(f"all {len(outcome.done)} runs are there", highlight=False)
+    return outcome.status
+
+
+def _folder(given: Sequence[Override]) -> Path | None:
+    """The sweep's folder, None for a new one."""
+    value = given[-1].value() if given else None
+    if value is None:
+        return None
+    if "${" in str(value):
+        raise ConfigError.of([(DIR, value, "one folder for the whole sweep")])
+    return Path(str(value)).absolute()
+
+
+def _numbered(configs: Sequence[Config], folder: Path) -> list[Config]:
+    """The configurations of runs in folders 0, 1, ... of a sweep's."""
+    return [
+        dataclasses.replace(c, run=dataclasses.replace(c.run, dir=str(folder / str(number))))
+        for number, c in enumerate(configs)
+    ]
+
+
+def _check_unused(folder: Path, configs: Sequence[Config]) -> None:
+    """Checks that a folder is free for a sweep, or holds it.
+
+    Raises:
+        ConfigError: it holds something else.
+    """
+    held = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    if (folder.exists() and not folder.is_dir()) or any(not name.isdigit() for name in held - LEFT):
+        raise ConfigError.of([(DIR, folder, "a folder that is new or empty, or of this sweep")])
+    for config in configs:
+        check_folder(config)

@@ -12,9 +12,7 @@ from experiments.sweep import train_all
 from server_app import resume
 from server_app.preflight import check_address, checked, checked_training
 
-TOGETHER = "--together"
-SWEEP = ("-m", "--multirun")
-FLAGS = (*SWEEP, TOGETHER, "--cfg")
+FLAGS = ("-m", "--multirun", "--cfg")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -27,7 +25,7 @@ def main(arguments: Sequence[str]) -> int:
             print(to_yaml(checked(overrides)), end="")
             return 0
         if flags:
-            return train_all(overrides, together=TOGETHER in flags)
+            return train_all(overrides)
         if resume.asked(overrides):
             config, checkpoint = resume.read(overrides)
             _check_address(config)
@@ -47,13 +45,11 @@ def _check_flags(flags: Sequence[str], *, resumes: bool) -> None:
     """
     unknown = [flag for flag in flags if flag not in FLAGS]
     if unknown:
-        raise ConfigError(f"{unknown[0]} is no option: there are -m, {TOGETHER} and --cfg.")
+        raise ConfigError(f"{unknown[0]} is no option: there are -m and --cfg.")
     if "--cfg" in flags and (len(flags) > 1 or resumes):
         raise ConfigError("--cfg prints one configuration: allowed without -m and resume=RUN.")
     if flags and resumes:
         raise ConfigError("resume=RUN goes on with one run: allowed without -m.")
-    if TOGETHER in flags and not set(SWEEP).intersection(flags):
-        raise ConfigError(f"{TOGETHER} trains the seeds of a sweep: allowed with -m seed=A,B,...")
 
 
 def _check_address(config: Config) -> None:

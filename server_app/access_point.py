@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import DQN, BranchingDQN, Learner, MakeLearner, epsilon_at
+from agent import DQN, BranchingDQN, epsilon_at
 from conf import Config, ap_network
 from env.seeding import Stream, stream
 from env.world import Outcome, World
@@ -22,7 +22,7 @@ class PhaseAgent(Protocol):
         """Chooses the phase action for a state of shape (1, global_size).
 
         Returns:
-            The action, shape (1,); in a stack it stands there once that has caught up.
+            The action, shape (1,).
         """
         ...
 
@@ -101,19 +101,17 @@ class AccessPoint(NetworkAgent):
 
     Args:
         config: the run's configuration.
-        make_learner: a stack's seat, where several runs' access points learn together.
     """
 
     agent: DQN
 
-    def __init__(self, config: Config, make_learner: MakeLearner = Learner) -> None:
-        self._make_learner = make_learner
+    def __init__(self, config: Config) -> None:
         super().__init__(config)
         self._always = np.ones(1, dtype=bool)
 
     def _new_agent(self, generator: np.random.Generator) -> DQN:
-        agent, make = self._config.agent, self._make_learner
-        return DQN(self.shape, agent, agent.discount.ap, [generator], make_learner=make)
+        agent = self._config.agent
+        return DQN(self.shape, agent, agent.discount.ap, [generator])
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
         """See ``PhaseAgent.act``."""

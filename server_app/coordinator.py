@@ -24,7 +24,6 @@ from server_app.access_point import PhaseAgent
 from server_app.aggregation import Aggregator
 from server_app.checkpoint import flat, part
 from server_app.progress import Observer, Progress
-from server_app.turns import Turns, play_out
 
 # As NumPy's own numbers: it would look for attributes on an enum's member at every use.
 OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARRIVED, Flag.DRIVING))
@@ -69,15 +68,7 @@ class Coordinator:
     def run(
         self, initial: NDArray[np.float32], resumed: Mapping[str, NDArray[Any]] | None = None
     ) -> NDArray[np.float32]:
-        """Trains without a pause; see ``turns``."""
-        return play_out(self.turns(initial, resumed))
-
-    def turns(
-        self, initial: NDArray[np.float32], resumed: Mapping[str, NDArray[Any]] | None = None
-    ) -> Turns[NDArray[np.float32]]:
         """Trains until the window boundary after the last episode or tick.
-
-        It pauses where agents must have learned and chosen before it can go on.
 
         Args:
             initial: online and target weights that all robots hold at the run's very beginning,
@@ -98,7 +89,7 @@ class Coordinator:
         while not final:
             self.progress.window += 1
             window = self.progress.window
-            final = yield from self._play_window(window)
+            final = self._play_window(window)
             self._shared = self._fleet.upload(window)
             if self._aggregator is not None:
                 model = self._aggregator.aggregate(window, model, self._shared)
@@ -140,7 +131,7 @@ class Coordinator:
         if self._aggregator is not None:
             self._aggregator.restore(part(state, "strategy"))
 
-    def _play_window(self, window: int) -> Turns[bool]:
+    def _play_window(self, window: int) -> bool:
         """Plays the ticks of a window; returns whether the run ends with it."""
         updates = self._updates()
         self._observe_into(updates)
@@ -150,13 +141,11 @@ class Coordinator:
             self._started = True
         for left in reversed(range(self._config.federation.every)):
             chosen = self._ap.act(self._state, self.progress.tick)
-            yield
             direction, level = self._robots_actions()
             phase = self._ap.settle(self._world, chosen.astype(np.int64), level)
             outcome = self._world.step(phase, direction, level)
             self.progress.tick += 1
             want = self._pass_on(window, phase, outcome, last=left == 0)
-        yield
         return want is Want.FAREWELL
 
     def _robots_actions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

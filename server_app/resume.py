@@ -10,13 +10,22 @@ from pathlib import Path
 from typing import Any
 
 from agent import CheckpointError
-from conf import Config, ConfigError, compose, fingerprint, overridden, robots_learn, to_yaml
+from conf import (
+    Config,
+    ConfigError,
+    fingerprint,
+    flower_clients,
+    overridden,
+    robots_learn,
+    to_yaml,
+)
+from conf.overrides import parse
 from conf.places import STATE
+from conf.user_paths import RESUME, pasted, resumed_folder
 from server_app.checkpoint import Checkpoint, latest
 from server_app.files import check_files
 from server_app.preflight import check, checked_yaml
 
-PREFIX = "resume="
 MAY_CHANGE = ("train.episodes", "train.max_ticks")
 """What a resume may set: when the run ends. All else would make it another run."""
 FINAL = {"summary.json", "weights.safetensors"}
@@ -32,7 +41,12 @@ def new_id() -> str:
 
 def asked(overrides: Sequence[str]) -> bool:
     """Whether overrides ask to resume a run."""
-    return any(item.startswith(PREFIX) for item in overrides)
+    return any(resumed_folder(item) is not None for item in overrides)
+
+
+def how(folder: Path) -> str:
+    """The command that goes on with a run, as it can be pasted into a shell."""
+    return f"risfleet train {pasted(RESUME, folder)}"
 
 
 def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
@@ -50,12 +64,12 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
             another key is set.
     """
     folder = _folder(overrides)
-    rest = [item for item in overrides if not item.startswith(PREFIX)]
-    for item in rest:
-        if item.split("=")[0] not in MAY_CHANGE:
+    rest = [item for item in overrides if resumed_folder(item) is None]
+    for item in parse(rest):
+        if item.key_or_group not in MAY_CHANGE:
             raise ConfigError(
-                f"{item}: allowed beside resume are {' and '.join(MAY_CHANGE)}: all else is the"
-                " run's own."
+                f"{item.input_line}: allowed beside resume are {' and '.join(MAY_CHANGE)}: all else"
+                " is the run's own."
             )
     config = _config(folder, rest)
     try:
@@ -85,7 +99,7 @@ def standing(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None
     if held <= BEFORE_THE_START:
         return None
     own = _config(folder, []) if "config.yaml" in held else None
-    if own is None or _written(own) != _written(config):
+    if own is None or not same(own, config, until=False):
         raise ConfigError.of([("run.dir", folder, "a folder that is new, empty or of this run")])
     found: dict[str, Any] | Checkpoint | None = _ended(config, folder) if held >= FINAL else None
     over = found is not None
@@ -106,11 +120,23 @@ def _ended(config: Config, folder: Path) -> dict[str, Any] | None:
     return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
 
 
-def _written(config: Config) -> str:
+def same(one: Config, other: Config, *, until: bool = True) -> bool:
+    """Whether two configurations are of one run, wherever its folder and its robots lie.
+
+    Args:
+        one: a configuration.
+        other: another one.
+        until: whether the run must end alike, too.
+    """
+    return _essence(one) == _essence(other) and (not until or one.train == other.train)
+
+
+def _essence(config: Config) -> str:
     """A configuration as text, without what may differ from one part of a run to the next."""
     run = dataclasses.replace(config.run, dir=None, id=None)
     train = dataclasses.replace(config.train, episodes=1, max_ticks=None)
-    return to_yaml(dataclasses.replace(config, run=run, train=train))
+    federation = dataclasses.replace(config.federation, clients=flower_clients(config))
+    return to_yaml(dataclasses.replace(config, run=run, train=train, federation=federation))
 
 
 def _checkpoint(folder: Path, config: Config) -> Checkpoint:
@@ -144,19 +170,20 @@ def _is_over(config: Config, episodes: int, ticks: int) -> bool:
 
 
 def _folder(overrides: Sequence[str]) -> Path:
-    folder = Path(next(item for item in overrides if item.startswith(PREFIX))[len(PREFIX) :])
-    if not (folder / "config.yaml").is_file():
-        raise ConfigError(f"{PREFIX}{folder}: allowed is the folder of a run.")
-    return folder.absolute()
+    folders = [folder for item in overrides if (folder := resumed_folder(item)) is not None]
+    if len(folders) > 1:
+        raise ConfigError(f"resume={folders[1]}: allowed is one run to go on with.")
+    if not (folders[0] / "config.yaml").is_file():
+        raise ConfigError(f"resume={folders[0]}: allowed is the folder of a run.")
+    return folders[0].absolute()
 
 
 def _config(folder: Path, overrides: Sequence[str]) -> Config:
     """The run's own configuration, with what is set anew."""
-    compose(overrides)  # checks each of them by itself
     try:
         config = checked_yaml((folder / "config.yaml").read_text())
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{PREFIX}{folder}: config.yaml cannot be read: {error}.") from error
+        raise ConfigError(f"resume={folder}: config.yaml cannot be read: {error}.") from error
     config = overridden(config, overrides)
     return check(dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder))))
 
@@ -167,6 +194,6 @@ def _check_unfinished(folder: Path, config: Config, checkpoint: Checkpoint) -> N
         return  # it died after its last window: the rest is still to be written
     if _is_over(config, episodes, tick):
         raise ConfigError(
-            f"{PREFIX}{folder}: the run has ended, with {episodes} episodes and {tick} ticks:"
+            f"resume={folder}: the run has ended, with {episodes} episodes and {tick} ticks:"
             " allowed is one that has not, or a larger train.episodes or train.max_ticks."
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from agent import Learner, MakeLearner
 from conf import Config
 from env.world import World
 from server_app.access_point import AccessPoint, PhaseAgent
@@ -10,22 +9,18 @@ from server_app.central import BranchingAgent, CentralAgent, JointAgent
 from server_app.phase_rules import PhaseRule
 
 
-def build_phase_agent(
-    config: Config, world: World, make_learner: MakeLearner = Learner
-) -> PhaseAgent:
+def build_phase_agent(config: Config, world: World) -> PhaseAgent:
     """Who steers the RIS, as the run begins; a ``CentralAgent`` commands the robots, too.
 
     Args:
         config: the run's configuration.
         world: whose RIS it is.
-        make_learner: a stack's seat, where several runs' access points learn together; one agent
-            for everything learns by itself.
     """
     if config.scheme.agents != "federated":
         return build_central(config)
     if config.scheme.phase != "learned":
         return PhaseRule(config, world)
-    return AccessPoint(config, make_learner)
+    return AccessPoint(config)
 
 
 def build_central(config: Config) -> CentralAgent:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import Learner, MakeLearner, Writer, digest, single_threaded
+from agent import Writer, digest, single_threaded
 from conf import Config, fingerprint, robot_network, robots_learn, version
 from conf.places import STATE, owner
 from env.destinations import draw_destinations
@@ -31,30 +31,12 @@ from server_app.history import MEASURES, evaluate
 from server_app.recorder import Recorder
 from server_app.schemes import build_phase_agent
 from server_app.strategies import build_aggregator
-from server_app.turns import Turns, play_out
 
 STOP_FILE = "stop"
 """A file of this name in the run folder ends the run at the next window boundary."""
 
 LAST_EVALUATIONS = 5
 FINAL_EPSILON = 0.05
-
-
-@dataclass(frozen=True)
-class Share:
-    """What a run has of its process: alone, all of it.
-
-    Attributes:
-        runs: how many are trained together.
-        robots: makes the robots' learner.
-        ap: makes the access point's.
-        clock: processor time in seconds that counts as this run's.
-    """
-
-    runs: int = 1
-    robots: MakeLearner = Learner
-    ap: MakeLearner = Learner
-    clock: Callable[[], float] = time.process_time
 
 
 class Session:
@@ -65,7 +47,6 @@ class Session:
         folder: the run's folder.
         resumed: where the run goes on, if it does not begin.
         losses: what was lost on the way here, for the summary.
-        share: what the run has of its process.
     """
 
     def __init__(
@@ -74,10 +55,8 @@ class Session:
         folder: Path,
         resumed: Checkpoint | None = None,
         losses: Sequence[dict[str, Any]] = (),
-        share: Share | None = None,
     ) -> None:
         single_threaded()
-        self._share = share or Share()
         self.losses = list(losses)
         self.config, self.folder, self._resumed = config, folder, resumed
         spent = {"wall_s": 0.0, "cpu_s": 0.0, "waited_s": 0.0}
@@ -87,20 +66,20 @@ class Session:
         self._costs: Callable[[], Costs] = Costs
         self._writer = Writer()
         self._began = time.perf_counter() - spent["wall_s"]
-        self._cpu_before = self._share.clock() - spent["cpu_s"]
+        self._cpu_before = time.process_time() - spent["cpu_s"]
         self.radio_map = build_radio_map(config.env)
         self.destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
         self.world = World(
             config.env, self.destinations, stream(config.seed, Stream.WORLD), 1, self.radio_map
         )
-        self.ap = build_phase_agent(config, self.world, self._share.ap)
+        self.ap = build_phase_agent(config, self.world)
         self.evaluator = Evaluator(config, self.radio_map)
         marks = None if resumed is None else resumed.meta["marks"]
         self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s, marks)
 
     def cpu_s(self) -> float:
         """Processor time of this process and of the robots' processes since the run began."""
-        return self._share.clock() - self._cpu_before + self._costs().client_cpu_s
+        return time.process_time() - self._cpu_before + self._costs().client_cpu_s
 
     def initial_weights(self) -> NDArray[np.float32]:
         """The network that all robots start from, online and target, shape (2, P); P may be 0."""
@@ -119,15 +98,6 @@ class Session:
         costs: Callable[[], Costs] = Costs,
         clients: Callable[[], list[dict[str, Any]]] = list,
     ) -> dict[str, Any]:
-        """Trains without a pause; see ``turns``."""
-        return play_out(self.turns(fleet, costs, clients))
-
-    def turns(
-        self,
-        fleet: Fleet,
-        costs: Callable[[], Costs] = Costs,
-        clients: Callable[[], list[dict[str, Any]]] = list,
-    ) -> Turns[dict[str, Any]]:
         """Trains with a fleet and writes everything that the run leaves behind.
 
         Args:
@@ -156,7 +126,7 @@ class Session:
         try:
             fleet.begin(0 if resumed is None else resumed.window, self.model())
             arrays = None if resumed is None else resumed.arrays
-            robots = yield from run.turns(self.initial_weights(), arrays)
+            robots = run.run(self.initial_weights(), arrays)
             self._writer.wait()
             if not self.recorder.running:
                 self.recorder.on_start()
@@ -180,7 +150,7 @@ class Session:
             return
         spent = {
             "wall_s": time.perf_counter() - self._began,
-            "cpu_s": self._share.clock() - self._cpu_before,
+            "cpu_s": time.process_time() - self._cpu_before,
             "waited_s": run.waited_s,
         }
         meta = {
@@ -207,7 +177,6 @@ class Session:
         summary = {
             "seed": self.config.seed,
             "runtime": self.config.runtime.name,
-            "runs_together": self._share.runs,
             "strategy": self.config.strategy.name,
             "scheme": asdict(self.config.scheme),
             "robots": self.config.env.robots,

@@ -24,7 +24,6 @@ from conf.places import robot_folder, server_folder
         "worlds",
         "parts",
         "scaling",
-        "together",
         pytest.param("central", marks=pytest.mark.slow),
     ],
 )

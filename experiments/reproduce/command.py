@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -14,12 +13,14 @@ from typing import Any
 from rich.console import Console
 
 from conf import ConfigError
-from conf.compose import check_overrides
+from conf.overrides import is_hydras, lines, parse
+from conf.user_paths import user_path
 from env.plugins import PluginError
+from experiments.batch.train import Outcome
 from experiments.evaluate import positive
 from experiments.reproduce import manifest
 from experiments.reproduce.plan import Cell, Target, with_overrides
-from experiments.reproduce.runner import Outcome, Plan, train
+from experiments.reproduce.runner import Plan, train
 from experiments.reproduce.runs import Runs
 
 TARGETS = ("fig3", "fig4", "fig5", "ablations", "claims")
@@ -29,7 +30,6 @@ ALL = "all"
 OWN = ("seed", "runtime", "run", "resume")
 """Keys that a target sets itself."""
 
-INTERRUPTED = 130
 EPILOG = """\
 KEY=VALUE is set in every run, on top of what a target sets; hydra/launcher=NAME picks another of
 Hydra's launchers. Runs that are done are kept, also between targets; one that was stopped goes on.
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> int:
     given = _parser().parse_intermixed_args(arguments)
     began = time.perf_counter()
     console = Console()
-    out = Path(given.out or ("reproduce-quick" if given.quick else "reproduce"))
+    out = given.out or Path("reproduce-quick" if given.quick else "reproduce")
     try:
         ours, hydra = _overrides(given.overrides)
         if given.jobs and any(item.startswith("hydra/launcher=") for item in hydra):
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str]) -> int:
         targets = _targets(given.target)
         cells = {t.name: with_overrides(t.cells(given.quick), ours) for t in targets}
         plan = Plan([cell for each in cells.values() for cell in each], out)
-        outcome = train(plan, given.jobs or _cores(), hydra, console)
+        outcome = train(plan, given.jobs, hydra, console)
         status = _said(outcome, console)
         if status:
             return status
@@ -93,9 +93,8 @@ def _report(
 
 def _said(outcome: Outcome, console: Console) -> int:
     """Says what is missing; returns the exit status: 0 if nothing is."""
-    if outcome.interrupted:
-        console.print("Stopped by Ctrl-C: the same call goes on where the runs are.")
-        return INTERRUPTED
+    if outcome.signal:
+        console.print(f"Stopped by {outcome.signal}: the same call goes on where the runs are.")
     for folder, why in outcome.failed.items():
         print(f"risfleet: {folder} failed: {why}", file=sys.stderr)
     if outcome.failed:
@@ -104,8 +103,7 @@ def _said(outcome: Outcome, console: Console) -> int:
             " is drawn before all are: the same call tries those that failed again.",
             file=sys.stderr,
         )
-        return 1
-    return 0
+    return outcome.status
 
 
 def _targets(name: str) -> list[Target]:
@@ -121,19 +119,14 @@ def _overrides(given: Sequence[str]) -> tuple[list[str], list[str]]:
     Raises:
         ConfigError: one is wrong in itself, or a key that the target sets.
     """
-    check_overrides(given)
-    hydra = [item for item in given if item.startswith("hydra")]
-    ours = [item for item in given if not item.startswith("hydra")]
+    found = parse(given, launcher=True)
+    ours = [item for item in found if not is_hydras(item)]
     for item in ours:
-        key = item.split("=")[0]
+        key = item.key_or_group
         if key.split(".")[0] in OWN:
-            raise ConfigError(f"{item}: {key} is the target's own: allowed are keys of a run.")
-    return ours, hydra
-
-
-def _cores() -> int:
-    """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+            say = f"{key} is the target's own: allowed are keys of a run"
+            raise ConfigError(f"{item.input_line}: {say}.")
+    return lines(ours), lines([item for item in found if is_hydras(item)])
 
 
 def _parser() -> Any:
@@ -148,6 +141,8 @@ def _parser() -> Any:
     parser.add_argument(
         "--quick", action="store_true", help="minutes on two cores: fewer seeds, shorter runs"
     )
-    parser.add_argument("--out", metavar="DIR", help="default: reproduce, or reproduce-quick")
+    parser.add_argument(
+        "--out", type=user_path, metavar="DIR", help="default: reproduce, or reproduce-quick"
+    )
     parser.add_argument("--jobs", type=positive, metavar="N", help="processes; default: cores")
     return parser

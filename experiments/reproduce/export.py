@@ -19,6 +19,7 @@ from typing import Any
 
 from conf import ConfigError, to_yaml
 from conf.schema import RunConfig
+from conf.user_paths import user_path
 from experiments.reproduce import repeat
 from experiments.reproduce.card import Player, card
 from experiments.reproduce.command import TARGETS
@@ -44,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
     try:
         others = dict(_named(item) for item in given.weights)
-        files = export(Path(given.source), Path(given.results), others)
+        files = export(given.source, given.results, others)
     except (ConfigError, OSError) as error:
         print(f"export: {error}", file=sys.stderr)
         return 2
@@ -154,13 +155,17 @@ def _named(item: str) -> tuple[str, Path]:
     name, separator, folder = item.partition("=")
     if not separator or not name.replace("-", "").isalnum():
         raise ConfigError(f"--weights {item}: allowed is NAME=RUN, a name and a run's folder.")
-    return name, Path(folder)
+    return name, user_path(folder)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("experiments.reproduce.export", description=__doc__)
-    parser.add_argument("source", metavar="DIR", help="what risfleet reproduce wrote")
-    parser.add_argument("results", metavar="RESULTS", help="where to, such as results")
+    parser.add_argument(
+        "source", type=user_path, metavar="DIR", help="what risfleet reproduce wrote"
+    )
+    parser.add_argument(
+        "results", type=user_path, metavar="RESULTS", help="where to, such as results"
+    )
     parser.add_argument(
         "--weights",
         action="append",

@@ -71,19 +71,19 @@ class Fig3:
     name = "fig3"
 
     def cells(self, quick: bool) -> list[Cell]:
-        """See ``Target``. Seeds train alone: their processor time is reported."""
+        """See ``Target``."""
         seeds, episodes = (QUICK_SEEDS, (150, 250)) if quick else (SEEDS, (300, 600))
         ends = tuple(f"train.episodes={count}" for count in episodes)
         two = "env.robots=2"
         rivals = [
-            Cell(name, (f"baseline={baseline}", two, end, *TUNED[name]), seeds, alone=True)
+            Cell(name, (f"baseline={baseline}", two, end, *TUNED[name]), seeds)
             for name, baseline, end in (
                 (CENTRALIZED, "centralized", ends[1]),
                 (BRANCHING, "branching", ends[0]),
             )
         ]
         federated = [
-            Cell(FEDERATED.format(k), (f"env.robots={k}", ends[0]), seeds, alone=True)
+            Cell(FEDERATED.format(k), (f"env.robots={k}", ends[0]), seeds)
             for k in ((2, 3, 4) if quick else (2, 3, 4, 5, 6))
         ]
         return [*federated, *rivals]

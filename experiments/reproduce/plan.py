@@ -31,13 +31,11 @@ class Cell:
         name: unique within a target.
         overrides: Hydra's, without ``seed``, ``runtime`` and ``run``.
         seeds: of its runs.
-        alone: whether each seed trains by itself, so that its processor time is its own.
     """
 
     name: str
     overrides: tuple[str, ...]
     seeds: tuple[int, ...]
-    alone: bool = False
 
 
 class Target(Protocol):
@@ -77,14 +75,13 @@ def configs(cell: Cell, store: Path) -> dict[int, Config]:
 
     Args:
         cell: the cell.
-        store: the folder of all runs; cells of equal configurations share theirs below it, unless
-            one of them needs the processor time of seeds that train alone.
+        store: the folder of all runs; cells of equal configurations share theirs below it.
 
     Raises:
         ConfigError: a wrong key, value or combination.
     """
     base = checked_training([*COMMON, *cell.overrides])
-    folder = store / (cell_folder(base) + ("-alone" if cell.alone else ""))
+    folder = store / cell_folder(base)
     found = {}
     for seed in cell.seeds:
         run = dataclasses.replace(base.run, dir=str(folder / f"seed={seed}"))

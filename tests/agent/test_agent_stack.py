@@ -5,7 +5,6 @@ import pytest
 from agent_helpers import (
     Experience,
     fleet,
-    generators,
     live,
     same_bits,
     shape_of,
@@ -14,7 +13,7 @@ from agent_helpers import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent import DQN, DiscountConfig, PriorityConfig, Stack, TargetConfig, goes_together
+from agent import DiscountConfig, PriorityConfig, TargetConfig
 
 ALL = {
     "n_step": 5,
@@ -148,87 +147,3 @@ def test_a_state_of_another_network_is_refused():
     other = fleet(shape_of(config, inputs=4), config, [1])
     with pytest.raises(ValueError, match="do not fit this network"):
         other.restore_agent(0, fleet(shape_of(config), config, [1]).agent_state(0))
-
-
-# --- Stacks of several runs -----------------------------------------------------------------------
-
-
-def seated(stack, seat, shape, config, seeds, discount=0.8, mu=0.0):
-    """The agents that `fleet` makes, in a seat of a stack."""
-    agents = DQN(shape, config, discount, generators(seeds), mu, stack.seat(seat))
-    agents.load(fleet(shape, config, seeds, discount, mu).weights())
-    return agents
-
-
-def live_together(stack, fleets, experience, members, start=0, stop=None):
-    """Plays ticks for runs side by side; each acts before any of them is told its choices."""
-    for t in range(start, experience.ticks if stop is None else stop):
-        actions = [
-            agents.act(experience.observations[t, at], 0.3, experience.active[t, at])
-            for agents, at in zip(fleets, members, strict=True)
-        ]
-        stack.catch_up()
-        for agents, at, chosen in zip(fleets, members, actions, strict=True):
-            agents.learn(
-                experience.observations[t, at],
-                chosen,
-                experience.rewards[t, at],
-                experience.next[t, at],
-                experience.terminal[t, at],
-                experience.active[t, at],
-            )
-        stack.catch_up()
-
-
-@pytest.mark.parametrize(
-    "variant", [name for name, (changes, *_) in VARIANTS.items() if goes_together(adapted(changes))]
-)
-def test_runs_in_a_stack_end_in_the_bits_that_each_reaches_alone(variant):
-    changes, discount, mu = VARIANTS[variant]
-    config = adapted(changes)
-    shape, stack = shape_of(config), Stack(5)
-    experience = Experience(shape, 10, 150, chained=True)
-    members = [[2 * run, 2 * run + 1] for run in range(5)]
-    seeds = [[10 + run, 20 + run] for run in range(5)]
-    fleets = [seated(stack, run, shape, config, seeds[run], discount, mu) for run in range(5)]
-    live_together(stack, fleets, experience, members)
-    for run in range(5):
-        alone = fleet(shape, config, seeds[run], discount, mu)
-        live(alone, experience, members[run])
-        for name, array in alone.state().items():
-            assert same_bits(array, fleets[run].state()[name]), name
-
-
-def test_a_run_that_has_ended_changes_no_bit_of_the_others_or_of_itself():
-    config = small_config()
-    shape, stack = shape_of(config), Stack(3)
-    experience = Experience(shape, 3, 120)
-    fleets = [seated(stack, run, shape, config, [run]) for run in range(3)]
-    live_together(stack, fleets, experience, [[0], [1], [2]], stop=60)
-    ended = fleets[1].state()
-    live_together(stack, fleets[::2], experience, [[0], [2]], start=60)
-    for run in (0, 2):
-        alone = fleet(shape, config, [run])
-        live(alone, experience, [run])
-        assert same_bits(alone.weights(), fleets[run].weights())
-    for name, array in ended.items():
-        assert same_bits(array, fleets[1].state()[name]), name
-
-
-def test_a_seat_that_is_taken_again_begins_again():
-    config = small_config()
-    shape, stack = shape_of(config), Stack(2)
-    experience = Experience(shape, 2, 80)
-    fleets = [seated(stack, run, shape, config, [run]) for run in range(2)]
-    live_together(stack, fleets, experience, [[0], [1]])
-    again = seated(stack, 0, shape, config, [0])
-    for name, array in fleet(shape, config, [0]).state().items():
-        assert same_bits(array, again.state()[name]), name
-
-
-def test_agents_that_differ_cannot_share_a_stack():
-    config = small_config()
-    stack = Stack(2)
-    seated(stack, 0, shape_of(config), config, [0])
-    with pytest.raises(ValueError, match="agents that differ cannot share a stack"):
-        seated(stack, 1, shape_of(config, inputs=9), config, [1])

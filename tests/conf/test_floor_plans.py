@@ -136,9 +136,23 @@ def test_an_experiment_wins_over_the_plan(monkeypatch, tmp_path):
     (folder / "experiment" / "office.yaml").write_text(
         "# @package _global_\nenv:\n  plan: corridor\n  motion:\n    max_slots: 99\n"
     )
-    monkeypatch.setattr(sys.modules["conf.compose"], "FOLDER", folder)
+    for module in ("conf.compose", "conf.overrides"):
+        monkeypatch.setattr(sys.modules[module], "FOLDER", folder)
     found = compose(["experiment=office"]).env
     assert (found.plan, found.room.depth_m, found.motion.max_slots) == ("corridor", 18.0, 99)
+
+
+@pytest.mark.parametrize("slots", [EnvConfig().motion.max_slots, 151])
+def test_what_a_user_wrote_is_above_the_plan_whatever_the_default(monkeypatch, tmp_path, slots):
+    folder = shutil.copytree(FOLDER, tmp_path / "conf")
+    (folder / "experiment" / "office.yaml").write_text(
+        f"# @package _global_\nenv:\n  motion:\n    max_slots: {slots}\n"
+    )
+    for module in ("conf.compose", "conf.overrides"):
+        monkeypatch.setattr(sys.modules[module], "FOLDER", folder)
+    assert compose(["experiment=office", "env.plan=hall"]).env.motion.max_slots == slots
+    assert compose([f"env.motion.max_slots={slots}", "env.plan=hall"]).env.motion.max_slots == slots
+    assert compose(["env.plan=hall"]).env.motion.max_slots == 200
 
 
 def test_a_configuration_that_is_written_out_needs_its_plan_no_more(own):

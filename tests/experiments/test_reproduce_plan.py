@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -11,9 +10,9 @@ from typing import Any
 import pytest
 
 from conf import Config
+from experiments.batch.states import cost_s, folder_of
 from experiments.reproduce.command import TARGETS
 from experiments.reproduce.fig3 import OURS
-from experiments.reproduce.jobs import Job, State, cost_s, dealt, folder_of, missing
 from experiments.reproduce.plan import SEEDS, Cell, cell_folder, configs, with_overrides
 
 
@@ -70,11 +69,7 @@ def test_cells_of_the_same_configuration_share_their_runs(tmp_path: Path) -> Non
     named = configs(Cell("a", ("env.robots=3", "train.episodes=300"), (10,)), tmp_path)
     default = configs(Cell("b", (), (10, 11)), tmp_path)
     assert named[10] == default[10]
-    jobs = missing(
-        [(Cell("a", (), (10,)), named), (Cell("b", (), (10, 11)), default)],
-        dict.fromkeys(map(folder_of, default.values()), State.NEW),
-    )
-    assert [folder.name for job in jobs for folder in job.folders] == ["seed=10", "seed=11"]
+    assert [folder_of(config).name for config in default.values()] == ["seed=10", "seed=11"]
 
 
 def test_the_users_overrides_stand_above_a_cells_own(tmp_path: Path) -> None:
@@ -93,45 +88,10 @@ def test_runs_of_another_configuration_or_program_lie_elsewhere(
     assert cell_folder(tiny()) != folder
 
 
-# --- Jobs -----------------------------------------------------------------------------------------
+# --- Costs ----------------------------------------------------------------------------------------
 
 
-def job(config: Config, seeds: range, *, episodes: int = 100) -> Job:
-    config = dataclasses.replace(
-        config, train=dataclasses.replace(config.train, episodes=episodes, max_ticks=None)
-    )
-    return Job((), tuple(dataclasses.replace(config, seed=seed) for seed in seeds))
-
-
-def test_a_single_cell_is_split_by_seeds_until_every_process_has_work(tiny: Any) -> None:
-    jobs = dealt([job(tiny(), range(5))], workers=2)
-    assert [len(each.configs) for each in jobs] == [2, 2, 1]  # no job is above half of the work
-    assert sorted(c.seed for each in jobs for c in each.configs) == list(range(5))
-
-
-def test_cells_enough_for_every_process_keep_their_seeds_together(tiny: Any) -> None:
-    jobs = dealt([job(tiny(), range(3)) for _ in range(6)], workers=2)
-    assert [len(each.configs) for each in jobs] == [3] * 6
-
-
-def test_the_longest_job_begins_first(tiny: Any) -> None:
-    jobs = dealt([job(tiny(), range(1), episodes=n) for n in (10, 30, 20)], workers=1)
-    assert [each.configs[0].train.episodes for each in jobs] == [30, 20, 10]
-
-
-def test_runs_whose_processor_time_is_reported_train_alone(tmp_path: Path) -> None:
-    cell = Cell("a", ("env.robots=2",), (10, 11, 12), alone=True)
-    runs = configs(cell, tmp_path)
-    states = dict.fromkeys(map(folder_of, runs.values()), State.NEW)
-    assert [len(each.configs) for each in missing([(cell, runs)], states)] == [1, 1, 1]
-
-
-def test_a_run_that_has_begun_goes_on_by_itself_and_one_that_is_done_not_at_all(
-    tmp_path: Path,
-) -> None:
-    cell = Cell("a", ("env.robots=2",), (10, 11, 12, 13))
-    runs = configs(cell, tmp_path)
-    each = [State.DONE, State.BEGUN, State.NEW, State.NEW]
-    states = dict(zip(map(folder_of, runs.values()), each, strict=True))
-    jobs = missing([(cell, runs)], states)
-    assert [[c.seed for c in found.configs] for found in jobs] == [[11], [12, 13]]
+def test_more_episodes_cost_more_and_a_limit_of_ticks_counts(tiny: Any) -> None:
+    long, short = (tiny({"train.episodes": n, "train.max_ticks": None}) for n in (30, 10))
+    assert cost_s(long) == pytest.approx(3 * cost_s(short))
+    assert cost_s(tiny({"train.episodes": 30, "train.max_ticks": 1})) < cost_s(short)

@@ -99,7 +99,7 @@ def test_the_command_trains_reports_and_says_what_it_came_from(
     command = ["reproduce", "fig3", "--quick", "--out", str(out), "hydra/launcher=basic"]
     assert main([*command, *kept, "train.max_ticks=40"]) == 0
     printed = capsys.readouterr().out
-    assert "10 runs to train in 10 jobs" in printed
+    assert "10 runs to train, 0 done before" in printed
     manifest = json.loads((out / "fig3.manifest.json").read_text())
     assert (manifest["target"], manifest["quick"]) == ("fig3", True)
     assert "train.max_ticks=40" in manifest["overrides"]

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,12 @@ import pytest
 from rich.console import Console
 
 from conf import Config, ConfigError
-from experiments import local
+from experiments import local, runner
+from experiments.batch.states import State, folder_of, state_of
+from experiments.batch.train import Outcome
 from experiments.cli import main
-from experiments.reproduce.jobs import State, folder_of, state_of
 from experiments.reproduce.plan import Cell
-from experiments.reproduce.runner import Outcome, Plan, train
+from experiments.reproduce.runner import Plan, train
 from server_app.session import STOP_FILE
 
 HERE = ["hydra/launcher=basic"]
@@ -78,21 +79,21 @@ def digests(plan: Plan) -> list[dict[str, str]]:
 def spoilt(monkeypatch: pytest.MonkeyPatch, seed: int, spoil: Callable[[Path], None]) -> list[int]:
     """Spoils the run of one seed as it begins; returns the list of the seeds that begin."""
     begun: list[int] = []
-    real = local.turns
+    real = local.train
 
-    def turns(config: Config, folder: Path, *rest: Any) -> Generator[None, None, dict[str, Any]]:
+    def spoilt_train(config: Config, folder: Path, *rest: Any) -> dict[str, Any]:
         begun.append(config.seed)
         if config.seed == seed:
             spoil(folder)
-        return (yield from real(config, folder, *rest))
+        return real(config, folder, *rest)
 
-    monkeypatch.setattr("experiments.together.local.turns", turns)
+    monkeypatch.setitem(runner.RUNTIMES, "local", spoilt_train)
     return begun
 
 
 def test_everything_is_trained_where_nothing_is_done(plan: Plan) -> None:
     outcome, said = trained(plan)
-    assert "2 runs to train in 1 jobs, 0 done before" in said
+    assert "2 runs to train, 0 done before" in said
     assert set(outcome.done) == set(plan.configs)
 
 
@@ -121,7 +122,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bits(plan: Plan, straight: P
     assert list(outcome.failed) == [folder_of(first)]
     (folder_of(first) / STOP_FILE).unlink(missing_ok=True)
     outcome, said = trained(plan)
-    assert "1 runs to train in 1 jobs, 1 done before" in said
+    assert "1 runs to train, 1 done before" in said
     assert not outcome.failed
     assert digests(plan) == digests(straight)
 

@@ -15,7 +15,7 @@ from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf.errors import OmegaConfBaseException
 
 from conf import ConfigError, register_schema
-from conf.compose import FOLDER
+from conf.overrides import FOLDER
 
 DEFAULT = "hydra/launcher=joblib"
 

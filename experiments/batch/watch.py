@@ -1,86 +1,24 @@
-"""What the user sees of many runs at once, and what Ctrl-C does to them."""
+"""What the user sees of many runs at once."""
 
 from __future__ import annotations
 
-import _thread
-import signal
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from multiprocessing import resource_tracker
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from conf import Config
+from experiments.batch.states import cost_s, folder_of
 from experiments.display import RUNNING, Showing, read_progress, share_done
-from experiments.reproduce.jobs import cost_s, folder_of
-from server_app.session import STOP_FILE
+from experiments.stopping import ShieldedSignals
 
 POLL_S = 0.5
 LINE_PERIOD_S = 30.0
 SURE = 0.02
 """The share of all work after which the time that is left can be guessed."""
-
-
-class Interrupts:
-    """Ctrl-C ends all runs at their next window; a second one ends their processes at once.
-
-    While it is taken, the signal is blocked in this thread, so that the processes that a launcher
-    starts never see it: they would die of it while they import.
-
-    Args:
-        store: the folder of all runs.
-        folders: of those that may be going on.
-        console: where to say so.
-    """
-
-    def __init__(self, store: Path, folders: Sequence[Path], console: Console) -> None:
-        self._all, self._folders, self._console = store / STOP_FILE, folders, console
-        self.asked = False
-
-    def __enter__(self) -> Interrupts:
-        """Takes Ctrl-C over."""
-        self._forget()  # what a call that was killed has left
-        resource_tracker.ensure_running()  # as it starts, it unblocks the signal
-        self._before = signal.signal(signal.SIGINT, self._on_signal)
-        self._mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Gives Ctrl-C back."""
-        self.look()
-        signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
-        signal.signal(signal.SIGINT, self._before)
-        self._forget()
-
-    def look(self) -> None:
-        """Takes a Ctrl-C that waits, and tells runs that have begun since; from another thread."""
-        if signal.SIGINT in signal.sigpending():
-            signal.sigwait({signal.SIGINT})
-            _thread.interrupt_main()
-        if self.asked:
-            self._tell()
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
-        self._tell()
-        self._console.print("Stopping at the next aggregations; Ctrl-C again stops at once.")
-
-    def _tell(self) -> None:
-        self._all.touch()
-        for folder in self._folders:
-            with suppress(FileNotFoundError):
-                (folder / STOP_FILE).touch()
-
-    def _forget(self) -> None:
-        for place in (self._all, *(folder / STOP_FILE for folder in self._folders)):
-            place.unlink(missing_ok=True)
 
 
 class Watch(Showing):
@@ -91,15 +29,15 @@ class Watch(Showing):
     Args:
         done: how many runs were done before.
         left: those that are trained now.
-        interrupts: looked after as often as the bar is drawn.
+        signals: looked after as often as the bar is drawn.
         console: where to show.
     """
 
     def __init__(
-        self, done: int, left: Sequence[Config], interrupts: Interrupts, console: Console
+        self, done: int, left: Sequence[Config], signals: ShieldedSignals, console: Console
     ) -> None:
         super().__init__("watch")
-        self._done, self._interrupts, self._console = done, interrupts, console
+        self._done, self._signals, self._console = done, signals, console
         self._costs_s = {folder_of(config): cost_s(config) for config in left}
         self._episodes = sum(config.train.episodes for config in left)
         self._began, self._began_at = time.monotonic(), time.time()
@@ -112,7 +50,7 @@ class Watch(Showing):
             task = bar.add_task("", total=sum(self._costs_s.values()))
             printed = time.monotonic()
             while not self._ended.wait(POLL_S):
-                self._interrupts.look()
+                self._signals.look()
                 statuses = self._read()
                 bar.update(
                     task, completed=self._worked_s(statuses), description=self._line(statuses)

@@ -1,0 +1,84 @@
+"""Paths as users write them on a command line: any that the file system takes, quoted or not."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from pathlib import Path
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.errors import HydraException
+
+PATHS = ("run.dir", "env.plan")
+"""Keys of a run whose values are paths."""
+
+RESUME = "resume"
+"""Names the folder of a run that goes on; it is no key of a run."""
+
+_OVERRIDE = re.compile(r"(?P<key>\+{0,2}[\w.]+)=(?P<value>.*)", re.DOTALL)
+
+
+def user_path(text: str) -> Path:
+    """The path that a user means: ``~`` is expanded, and quotes around all of it are taken off.
+
+    Args:
+        text: an argument, or what stands behind ``KEY=``.
+    """
+    return Path(str_path(text))
+
+
+def with_quoted_path(text: str, *, several: bool = False) -> str:
+    """An override whose path, if it holds one, is quoted, so that Hydra takes it as it is.
+
+    Args:
+        text: such as ``run.dir=/tmp/my run``; what sets no path comes back unchanged.
+        several: whether commas of ``env.plan`` separate values.
+    """
+    found = _OVERRIDE.fullmatch(text)
+    if found is None or found["key"].lstrip("+") not in PATHS or found["value"] == "null":
+        return text
+    values = [found["value"]]
+    if several and found["key"].lstrip("+") == "env.plan":
+        if _is_parsed(text):
+            return text
+        values = found["value"].split(",")
+    quoted = [QuotedString(str_path(value), Quote.single).with_quotes() for value in values]
+    return f"{found['key']}={','.join(quoted)}"
+
+
+def str_path(text: str) -> str:
+    """``user_path`` as text, in which an empty one stays empty."""
+    return os.path.expanduser(_unquoted(text))
+
+
+def resumed_folder(text: str) -> Path | None:
+    """The folder of ``resume=FOLDER``; None for any other override."""
+    found = _OVERRIDE.fullmatch(text)
+    return user_path(found["value"]) if found and found["key"].lstrip("+") == RESUME else None
+
+
+def pasted(key: str, path: Path) -> str:
+    """An override of a path as it can be pasted into a shell."""
+    return shlex.quote(f"{key}={path}")
+
+
+def _unquoted(text: str) -> str:
+    """A text without the quotes around all of it, read as Hydra reads them."""
+    if len(text) < 2 or text[0] not in "'\"" or text[-1] != text[0]:
+        return text
+    try:
+        value = OverridesParser.create().parse_override(f"x={text}").value()
+    except HydraException:
+        return text
+    return value if isinstance(value, str) else text
+
+
+def _is_parsed(text: str) -> bool:
+    """Whether Hydra can read an override."""
+    try:
+        OverridesParser.create().parse_override(text)
+    except HydraException:
+        return False
+    return True

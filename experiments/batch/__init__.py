@@ -1,0 +1,1 @@
+"""Many runs at once through Hydra's launchers: trained where missing, watched, stopped."""

@@ -1,0 +1,75 @@
+"""What the folder of a run holds that is wanted whole, and what the run costs."""
+
+from __future__ import annotations
+
+import json
+from enum import Enum
+from pathlib import Path
+
+from conf import Config, ConfigError, fingerprint
+from experiments.evaluate import read_config, read_weights
+from server_app import resume
+from server_app.checkpoint import Checkpoint
+
+TICKS_PER_EPISODE = 85
+MS_PER_TICK_AND_ROBOT = 0.5
+COST = {"federated": 1.0, "branching": 0.65, "centralized": 4.0}
+"""Processor time of a tick against F-DRL's (docs/baselines.md): which runs are long, no more."""
+
+
+class State(Enum):
+    """What a run's folder holds."""
+
+    DONE = "done"
+    BEGUN = "begun"  # a checkpoint, from which it goes on
+    NEW = "new"  # nothing, or nothing that can be used
+
+
+def folder_of(config: Config) -> Path:
+    """A run's folder."""
+    return Path(str(config.run.dir))
+
+
+def cost_s(config: Config) -> float:
+    """A rough guess of a run's processor time in s."""
+    ticks = config.train.episodes * TICKS_PER_EPISODE
+    ticks = min(ticks, config.train.max_ticks or ticks)
+    each_ms = MS_PER_TICK_AND_ROBOT * config.env.robots * COST[config.scheme.agents]
+    return ticks * each_ms / 1000
+
+
+def state_of(config: Config) -> State:
+    """What the folder of a run holds; what cannot be used counts as nothing."""
+    if _is_done(config):
+        return State.DONE
+    try:
+        found = resume.standing(config, folder_of(config))
+    except (LookupError, OSError, ValueError):
+        return State.NEW
+    return State.BEGUN if isinstance(found, Checkpoint) else State.NEW
+
+
+def check_folder(config: Config) -> None:
+    """Checks that the folder of a run holds nothing, or this run.
+
+    Raises:
+        ConfigError: it holds something else, or the run of another version.
+    """
+    found = resume.standing(config, folder_of(config))
+    if isinstance(found, dict) and not _is_done(config):
+        allowed = "a folder whose run is whole and of this version of RISFleet"
+        raise ConfigError.of([("run.dir", folder_of(config), allowed)])
+
+
+def _is_done(config: Config) -> bool:
+    """Whether a run has ended as it was meant to, and its files can be read."""
+    folder = folder_of(config)
+    try:
+        summary = json.loads((folder / "summary.json").read_text())
+        whole = not summary["stopped_early"] and summary["fingerprint"] == fingerprint(config.env)
+        if not whole or not resume.same(read_config(folder), config):
+            return False
+        read_weights(folder, config)
+    except (LookupError, TypeError, ValueError, OSError):
+        return False
+    return all((folder / name).is_file() for name in ("metrics.csv", "evaluations.csv"))

@@ -1,0 +1,142 @@
+"""Trains what many runs still miss, with every core, and goes on where they stopped."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from conf import Config
+from experiments.batch.launcher import build_launcher
+from experiments.batch.states import State, cost_s, folder_of, state_of
+from experiments.batch.watch import Watch
+from experiments.batch.worker import Work
+from experiments.display import read_progress
+from experiments.stopping import ShieldedSignals
+from server_app.session import STOP_FILE
+
+ATTEMPTS = 2
+"""A process that dies takes its launcher's other jobs with it, so these are launched again."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of all runs.
+
+    Attributes:
+        done: folders of the runs that are there.
+        failed: why the others are not, by folder; empty after a signal.
+        status: the exit status: 0, 1 where a run failed, 130 or 143 after a signal.
+        signal: what has ended the runs early, in words; empty if nothing has.
+    """
+
+    done: tuple[Path, ...]
+    failed: Mapping[Path, str]
+    status: int
+    signal: str = ""
+
+
+def train(
+    configs: Sequence[Config],
+    store: Path,
+    console: Console,
+    hydra: Sequence[str] = (),
+    workers: int | None = None,
+) -> Outcome:
+    """Trains every run that is not done; the longest ones begin first.
+
+    A folder with what cannot be used is emptied: who must not lose it checks that before.
+
+    Args:
+        configs: checked ones with ``run.dir``; equal folders are trained once.
+        store: an existing folder, which the caller holds, for the file that stops all runs.
+        console: where to show progress.
+        hydra: overrides of Hydra's launcher.
+        workers: processes at once; as many as cores if None.
+
+    Raises:
+        ConfigError: the launcher is wrong.
+    """
+    workers = workers or _cores()
+    runs = {folder_of(config): config for config in configs}
+    files = [store / STOP_FILE, *(folder / STOP_FILE for folder in runs)]
+    with ShieldedSignals(files, console) as signals:
+        failed: dict[Path, str] = {}
+        states = _states(runs)
+        for _ in range(ATTEMPTS):
+            left = [folder for folder, state in states.items() if state is not State.DONE]
+            left = [folder for folder in left if folder not in failed]
+            if not left or signals.asked:
+                break
+            for folder in left:
+                _clear(folder, states[folder])
+            done = len(runs) - sum(state is not State.DONE for state in states.values())
+            missing = sorted((runs[folder] for folder in left), key=cost_s, reverse=True)
+            _launch(missing, done, store, workers, hydra, signals, console)
+            states = _states(runs)
+            failed = _failed(states)
+    ended = tuple(folder for folder, state in states.items() if state is State.DONE)
+    if signals.asked:
+        return Outcome(ended, {}, signals.status, signals.name)
+    lost = {folder: "it did not end" for folder in runs if folder not in ended}
+    return Outcome(ended, lost | failed, int(bool(lost)))
+
+
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _states(runs: Mapping[Path, Config]) -> dict[Path, State]:
+    return {folder: state_of(config) for folder, config in runs.items()}
+
+
+def _clear(folder: Path, state: State) -> None:
+    """Removes what cannot be used, and what an earlier attempt said of its end."""
+    if state is State.NEW and folder.exists():
+        shutil.rmtree(folder)
+    elif _said_failed(folder):
+        (folder / "progress.json").unlink()
+
+
+def _failed(states: Mapping[Path, State]) -> dict[Path, str]:
+    """Why runs failed that say so, by folder."""
+    found = {}
+    for folder, state in states.items():
+        said = _said_failed(folder)
+        if state is not State.DONE and said:
+            found[folder] = said
+    return found
+
+
+def _said_failed(folder: Path) -> str | None:
+    status = read_progress(folder)
+    return str(status["message"]) if status and status["state"] == "failed" else None
+
+
+def _launch(
+    missing: Sequence[Config],
+    done: int,
+    store: Path,
+    workers: int,
+    hydra: Sequence[str],
+    signals: ShieldedSignals,
+    console: Console,
+) -> None:
+    """Hands runs to Hydra's launcher and waits until all have ended."""
+    console.print(
+        f"{len(missing)} runs to train, {done} done before; {store}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    work = Work(tuple(missing), store / STOP_FILE, os.getpid())
+    launcher = build_launcher(work, hydra, store, workers)
+    with Watch(done, missing, signals, console):
+        try:
+            launcher.launch([[f"seed={each.seed}"] for each in missing], initial_job_idx=0)
+        except Exception as error:  # a launcher's own: its processes were killed, its cluster left
+            console.print(f"risfleet: {type(error).__name__}: {error}".splitlines()[0])
