@@ -6,6 +6,7 @@ import csv
 import fcntl
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -19,8 +20,9 @@ import pytest
 
 from agent import checkpoints
 from conf.places import robot_windows, server_folder
+from conf.user_paths import resumed_folder
 from experiments.cli import main
-from server_app import checkpoint, session
+from server_app import checkpoint, resume, session
 
 FALLING = ("agent.learning_rate_end=0.001", "agent.learning_rate_updates=60")
 EVERY_OPTION = (
@@ -273,3 +275,10 @@ def test_a_full_disk_ends_a_run_with_a_sentence(tiny_overrides, tmp_path, monkey
     assert main(given) == 1
     (said,) = capsys.readouterr().err.splitlines()
     assert said.startswith(f"risfleet: [Errno 28] No space left on device: '{tmp_path / 'full'}")
+
+
+@pytest.mark.parametrize("folder", ["/tmp/my run", "/tmp/it's", "/tmp/lr=0.1 $HOME", "/tmp/plain"])
+def test_how_to_go_on_can_be_pasted_into_a_shell(folder: str) -> None:
+    command = shlex.split(resume.how(Path(folder)))
+    assert command[:2] == ["risfleet", "train"]
+    assert resumed_folder(command[2]) == Path(folder)
