@@ -2,8 +2,9 @@
 
 | module | holds |
 |---|---|
+| `reference` | one plain DQN in PyTorch: read it first |
 | `config` | the configuration's schema and checks |
-| `forms` | dueling and factored outputs made action values, and the way back |
+| `dueling` | dueling outputs made action values, and the way back |
 | `network` | the flat layout of a network, first weights, the forward used to act |
 | `replay` | transitions as packed rows in a ring |
 | `priority` | the same, drawn by how much they surprise |

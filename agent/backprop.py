@@ -57,9 +57,9 @@ class Forward:
         self.inputs: FloatArray = self.activations[0][:, :, :-1].numpy()
         self.q: FloatArray = q.numpy()
         self._steps: list[Step] = []
-        form, last = shape.form, q
-        if form is not None:
-            last = aligned_zeros(*q.shape[:2], form.outputs, q.shape[3])
+        head, last = shape.head, q
+        if head is not None:
+            last = aligned_zeros(*q.shape[:2], head.outputs, q.shape[3])
         outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), last]
         for matrix, activation, output in zip(
             shape.matrices(weights), self.activations, outputs, strict=True
@@ -67,8 +67,8 @@ class Forward:
             self._steps.append(_product(matrix.mT, activation, output, _TORCH_FROM))
             if output is not last:
                 self._steps.append(partial(torch.relu_, output))
-        if form is not None:
-            made, of = form.action_values, last.numpy()
+        if head is not None:
+            made, of = head.action_values, last.numpy()
             self._steps.append(lambda: np.copyto(self.q, made(of, 2)))
 
     def run(self) -> None:
@@ -105,9 +105,9 @@ class Backward:
         weights, gradients = shape.matrices(online), shape.matrices(gradient)
         self.slope: FloatArray = slopes[-1].numpy()
         self._steps: list[Step] = []
-        if (form := shape.form) is not None:
+        if (head := shape.head) is not None:
             self.slope = aligned_zeros(len(online), shape.actions, slopes[-1].shape[-1]).numpy()
-            self._steps.append(partial(form.outputs_slope, self.slope, slopes[-1].numpy()))
+            self._steps.append(partial(head.backward, self.slope, slopes[-1].numpy()))
         for depth in reversed(range(len(slopes))):
             read, slope = activations[depth][:, 0], slopes[depth]
             self._steps.append(_product(read, slope.mT, gradients[depth], _TORCH_GRADIENT_FROM))

@@ -65,7 +65,6 @@ class AgentConfig:
 
     hidden: list[int] = field(default_factory=lambda: [64, 64])
     dueling: bool = False
-    factored: bool = False
     learning_rate: float = 1e-4
     learning_rate_end: float | None = None
     learning_rate_updates: int = 20_000
@@ -104,8 +103,6 @@ def _network(config: AgentConfig) -> Iterator[Problem]:
             widths,
             f"a list of one layer or more, each 1 to {WIDEST_LAYER} units wide",
         )
-    if config.factored and config.dueling:
-        yield "agent.factored", True, "false with agent.dueling=true"
 
 
 def _learning(config: AgentConfig) -> Iterator[Problem]:

@@ -74,7 +74,7 @@ class Learner:
             width: of a transition's row; that of `RowLayout` if None.
         """
         self._shape, self._config, self._discount = shape, config, discount
-        self._mu, self._form = proximal_mu, shape.form
+        self._mu, self._head = proximal_mu, shape.head
         size = shape.parameters
         self._weights = _rows(agents, 2, size)
         self._moments = _rows(agents, 2, size)
@@ -137,7 +137,7 @@ class Learner:
         """
         greedy = choices == GREEDY
         if greedy.any():
-            q = forward(self._layers, observations[:, None], self._form)
+            q = forward(self._layers, observations[:, None], self._head)
             np.copyto(choices, q[:, 0].argmax(axis=1), where=greedy, casting="same_kind")
 
     def _new_span(self, start: int, stop: int) -> Gradients:

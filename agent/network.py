@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agent.forms import Dueling, Factored, Form
+from agent.dueling import DuelingHead
 
 FloatArray = NDArray[np.float32]
 Rows = TypeVar("Rows", FloatArray, torch.Tensor)
@@ -27,28 +27,24 @@ class NetworkShape:
     """Sizes of a multilayer perceptron with ReLU between its layers.
 
     With ``dueling`` the last layer has one output more, the value of the state, and what it says
-    of an action is that action's advantage. With ``factors``, whose product is the number of
-    actions, it has one for each choice of each part of an action (see `agent.forms`).
+    of an action is that action's advantage (see `agent.dueling`).
     """
 
     inputs: int
     hidden: tuple[int, ...]
     actions: int
     dueling: bool = False
-    factors: tuple[int, ...] = ()
 
     @property
-    def form(self) -> Form | None:
+    def head(self) -> DuelingHead | None:
         """What makes action values of the last layer's outputs; None: they are."""
-        if self.factors:
-            return Factored(self.factors)
-        return Dueling(self.actions) if self.dueling else None
+        return DuelingHead(self.actions) if self.dueling else None
 
     @property
     def layers(self) -> list[tuple[int, int]]:
         """(inputs, outputs) of each layer, first to last."""
-        form = self.form
-        last = self.actions if form is None else form.outputs
+        head = self.head
+        last = self.actions if head is None else head.outputs
         return list(pairwise((self.inputs, *self.hidden, last)))
 
     @property
@@ -115,20 +111,20 @@ def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray)
     Returns:
         Q(s, a), shape (n, B, actions).
     """
-    return forward(shape.views(weights), observations, shape.form)
+    return forward(shape.views(weights), observations, shape.head)
 
 
 def forward(
     layers: Sequence[tuple[FloatArray, FloatArray]],
     observations: FloatArray,
-    form: Form | None = None,
+    head: DuelingHead | None = None,
 ) -> FloatArray:
     """The same as `q_values`, on views that the caller has kept.
 
     Args:
         layers: what `NetworkShape.views` gave.
         observations: shape (n, B, inputs).
-        form: `NetworkShape.form`.
+        head: `NetworkShape.head`.
 
     Returns:
         Q(s, a), shape (n, B, actions).
@@ -140,4 +136,4 @@ def forward(
         x += bias[:, None]
         if depth < last:
             np.maximum(x, 0, out=x)
-    return x if form is None else form.action_values(x, axis=-1)
+    return x if head is None else head.action_values(x, axis=-1)

@@ -2,7 +2,7 @@
 
 | module | measures |
 |---|---|
-| `engine` | the stacked learner against four plain ones |
+| `engine` | the stacked learner against four of `agent.reference` |
 | `worlds` | a joint step of the world against CartPole, and worlds in a batch |
 | `scaling` | joint steps and updates per second for 1 to 32 robots in one process |
 | `parts` | where the time of a local joint step goes |

@@ -1,11 +1,11 @@
-"""The stacked engine against four plain learners: three robots and the access point."""
+"""The stacked engine against four reference learners: three robots and the access point."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from agent import DQN, NetworkShape, single_threaded
-from benchmarks.plain import PlainLearner
+from agent.reference import ReferenceDQN
 from benchmarks.result import Result, Target, micro, take_turns
 from conf import Config, ap_network, compose, robot_network
 from env.seeding import Stream, stream
@@ -15,7 +15,7 @@ EPSILON = 0.05
 RECORDED = 512
 HOW = (
     "joint steps (act, store, learn) per processor second of agent.DQN, 3 robots stacked and the"
-    " AP, over those of four CleanRL-style eager learners; one thread, blocks in turn"
+    " AP, over those of four agent.reference.ReferenceDQN; one thread, blocks in turn"
 )
 
 
@@ -62,18 +62,26 @@ class Stacked:
 
 
 class Plain:
-    """Four learners, one after the other."""
+    """Four reference learners, one after the other."""
 
     def __init__(self, config: Config, experience: Experience) -> None:
         robots = experience.robot.shape[1]
         self._experience, self._tick = experience, 0
         robot, ap = robot_network(config), ap_network(config)
-        discount, width = config.agent.discount, config.agent.hidden[0]
+        discount, first = config.agent.discount, stream(0, Stream.WEIGHTS)
         self._robots = [
-            PlainLearner(robot.inputs, robot.actions, width, discount.robot, k)
+            ReferenceDQN(
+                robot,
+                config.agent,
+                discount.robot,
+                stream(0, Stream.ROBOT, k),
+                robot.initial_weights(first),
+            )
             for k in range(robots)
         ]
-        self._ap = PlainLearner(ap.inputs, ap.actions, width, discount.ap, robots)
+        self._ap = ReferenceDQN(
+            ap, config.agent, discount.ap, stream(0, Stream.AP), ap.initial_weights(first)
+        )
 
     def __call__(self, steps: int) -> None:
         """Takes joint steps."""

@@ -11,13 +11,11 @@ from env.observation import Observer
 
 def robot_network(config: Config) -> NetworkShape:
     """The DQN of each robot: s_L to 4 N_P actions."""
-    levels = config.env.power.levels
     return NetworkShape(
         Observer(config.env).local_size,
         tuple(config.agent.hidden),
-        actions.count(levels),
+        actions.count(config.env.power.levels),
         config.agent.dueling,
-        actions.factors(levels) if config.agent.factored else (),
     )
 
 

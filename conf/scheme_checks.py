@@ -70,8 +70,6 @@ def _central_problems(config: Config) -> Iterator[Problem]:
     for key in ("phase", "robots"):
         if getattr(config.scheme, key) != "learned":
             yield f"scheme.{key}", getattr(config.scheme, key), f"learned with {who}"
-    if config.agent.factored:
-        yield "agent.factored", True, f"false with {who}: factors are those of a robot's action"
     if config.scheme.agents == "branching":
         yield from _head_problems(config.agent)
     count = joint_actions(config)

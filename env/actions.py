@@ -13,11 +13,6 @@ def count(levels: int) -> int:
     return len(DIRECTIONS) * levels
 
 
-def factors(levels: int) -> tuple[int, int]:
-    """Choices of an action's two parts, direction and power level: (4, N_P)."""
-    return len(DIRECTIONS), levels
-
-
 def joint_count(phases: int, robots: int, levels: int) -> int:
     """Number of joint actions of an access point with so many phase settings and K robots."""
     return int(phases * count(levels) ** robots)

@@ -75,8 +75,6 @@ def small_config(**changes):
 
 
 def shape_of(config, inputs=5, actions=7):
-    if config.factored:
-        return NetworkShape(inputs, tuple(config.hidden), 6, factors=(2, 3))
     return NetworkShape(inputs, tuple(config.hidden), actions, config.dueling)
 
 

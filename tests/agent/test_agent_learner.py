@@ -1,96 +1,25 @@
-"""The stacked learner against a plain eager DQN, and the rules of learning."""
+"""The stacked learner against the reference, and the rules of learning."""
 
 import random
 
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F  # noqa: N812
 from agent_helpers import Experience, fleet, generators, live, same_bits, shape_of, small_config
 
 from agent import DQN, AgentConfig, NetworkShape, PriorityConfig, TargetConfig, single_threaded
-from agent.learner import Learner, neighbours
+from agent.learner import Learner, learning_rate_at, neighbours
+from agent.reference import ReferenceDQN
 from agent.replay import RowLayout
 
 
-class JoinStreams(torch.nn.Module):
-    """Q = V + A - mean A, with V as the last of the streams."""
-
-    def forward(self, streams):
-        """Action values."""
-        advantages = streams[:, :-1]
-        return streams[:, -1:] + advantages - advantages.mean(1, keepdim=True)
-
-
-class AddUp(torch.nn.Module):
-    """Q(s, (a, b)) = Q_1(s, a) + Q_2(s, b)."""
-
-    def __init__(self, first, second):
-        """Takes the number of choices of both parts."""
-        super().__init__()
-        self.place = [(a, first + b) for a in range(first) for b in range(second)]
-
-    def forward(self, worth):
-        """Action values."""
-        return torch.stack([worth[:, a] + worth[:, b] for a, b in self.place], dim=1)
-
-
-class EagerDQN:
-    """A DQN as one writes it in PyTorch: modules, autograd, ``torch.optim.Adam``."""
-
-    def __init__(self, shape, config, discount, row, mu):
-        """Starts from the weights in `row`."""
-        self.config, self.discount, self.mu, self.updates = config, discount, mu, 0
-        self.q, self.target = self.module(shape, row), self.module(shape, row)
-        self.anchor = [p.detach().clone() for p in self.q.parameters()]
-        self.optimiser = torch.optim.Adam(self.q.parameters(), lr=config.learning_rate)
-
-    @staticmethod
-    def module(shape, row):
-        """The same network as `row`."""
-        layers = []
-        for weight, bias in shape.views(torch.from_numpy(row.copy())[None]):
-            linear = torch.nn.Linear(*weight.shape[1:])
-            linear.weight.data, linear.bias.data = weight[0].T.contiguous(), bias[0].clone()
-            layers += [linear, torch.nn.ReLU()]
-        if shape.factors:
-            return torch.nn.Sequential(*layers[:-1], AddUp(*shape.factors))
-        return torch.nn.Sequential(*layers[:-1], *[JoinStreams()] * shape.dueling)
-
-    def update(self, seen, action, reward, following, terminal, weights):
-        """One gradient step on samples of these weights; returns the loss."""
-        with torch.no_grad():
-            values = self.target(following)
-            chosen = (self.q(following) if self.config.double else values).argmax(1, keepdim=True)
-            bootstrap = values.gather(1, chosen)[:, 0] * (1 - terminal.float())
-        q = self.q(seen).gather(1, action[:, None])[:, 0]
-        aim = reward + self.discount * bootstrap
-        each = F.huber_loss(q, aim, delta=self.config.huber_delta, reduction="none")
-        loss = (weights * each).mean()
-        pull = sum(
-            ((p - a) ** 2).sum() for p, a in zip(self.q.parameters(), self.anchor, strict=True)
-        )
-        if (end := self.config.learning_rate_end) is not None:
-            share = min(self.updates / self.config.learning_rate_updates, 1)
-            rate = self.config.learning_rate * (1 - share) + end * share
-            self.optimiser.param_groups[0]["lr"] = rate
-        self.updates += 1
-        self.optimiser.zero_grad()
-        (loss + self.mu / 2 * pull).backward()
-        self.optimiser.step()
-        return loss.item()
-
-    def copy_to_target(self):
-        """Makes the target equal to the online network."""
-        self.target.load_state_dict(self.q.state_dict())
-
-    def row(self):
-        """The online network in the learner's layout."""
-        parts = []
-        for layer in self.q:
-            if isinstance(layer, torch.nn.Linear):
-                parts += [layer.weight.detach().T.flatten(), layer.bias.detach()]
-        return torch.cat(parts).numpy()
+def row_of(network):
+    """A network of the reference in the learner's layout."""
+    parts = []
+    for layer in network:
+        if isinstance(layer, torch.nn.Linear):
+            parts += [layer.weight.detach().T.flatten(), layer.bias.detach()]
+    return torch.cat(parts).numpy()
 
 
 @pytest.mark.parametrize(
@@ -104,8 +33,6 @@ class EagerDQN:
         ({}, 0.8, 0.05),
         ({"dueling": True}, 0.8, 0.0),
         ({"dueling": True, "double": True}, 0.8, 0.0),
-        ({"factored": True}, 0.8, 0.0),
-        ({"factored": True, "double": True}, 0.8, 0.0),
         ({"priority": PriorityConfig(alpha=0.5)}, 0.8, 0.0),
         ({"learning_rate_end": 1e-4, "learning_rate_updates": 150}, 0.8, 0.0),
     ],
@@ -118,13 +45,11 @@ class EagerDQN:
         "FedProx",
         "dueling",
         "double dueling",
-        "factored",
-        "double factored",
         "weighted",
         "falling rate",
     ],
 )
-def test_the_learner_agrees_with_eager_torch(changes, discount, mu):
+def test_the_learner_agrees_with_the_reference(changes, discount, mu):
     config = small_config(**changes)
     shape = shape_of(config)
     layout, rng = RowLayout(shape.inputs), np.random.default_rng(0)
@@ -133,7 +58,7 @@ def test_the_learner_agrees_with_eager_torch(changes, discount, mu):
     for agent in range(2):
         row = shape.initial_weights(rng)
         learner.weights[agent], learner.anchor[agent] = row, row
-        eager.append(EagerDQN(shape, config, discount, row, mu))
+        eager.append(ReferenceDQN(shape, config, discount, rng, row, mu))
     size = config.batch_size
     for update in range(200):
         expected = []
@@ -151,6 +76,8 @@ def test_the_learner_agrees_with_eager_torch(changes, discount, mu):
             if learner.weighing is not None:
                 weights = learner.weighing.importance[agent]
                 weights[:] = rng.random(size)
+            rate = learning_rate_at(config, update)
+            plain.optimizer.param_groups[0]["lr"] = rate
             expected.append(
                 plain.update(
                     *(torch.from_numpy(x.copy()) for x in fields[:3]),
@@ -164,7 +91,9 @@ def test_the_learner_agrees_with_eager_torch(changes, discount, mu):
                 plain.copy_to_target()
                 learner.copy_to_target(agent)
     for agent, plain in enumerate(eager):
-        np.testing.assert_allclose(learner.weights[agent, 0], plain.row(), rtol=0, atol=3e-6)
+        np.testing.assert_allclose(
+            learner.weights[agent, 0], row_of(plain.online), rtol=0, atol=3e-6
+        )
 
 
 def test_a_terminal_transition_does_not_bootstrap():

@@ -9,13 +9,12 @@ from agent_helpers import Experience, fleet, generators, live, same_bits, shape_
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent import PriorityConfig, Stack, TargetConfig, q_values
-from agent.forms import Dueling, Factored
+from agent import PriorityConfig, TargetConfig, q_values
+from agent.dueling import DuelingHead
 from agent.learner import learning_rate_at
 from agent.priority import LEAST_ERROR, PrioritisedReplay
 from agent.replay import RowLayout
 from agent.returns import ReturnWindow
-from env import actions
 
 LAYOUT = RowLayout(1)
 
@@ -235,54 +234,22 @@ def test_a_rate_that_has_fallen_to_zero_moves_nothing():
 
 def test_dueling_streams_are_joined_as_a_hand_computed_case():
     streams = np.array([[[1, 2], [3, 0], [5, 4], [10, 20]]], np.float32)  # A of 3 actions, then V
-    form = Dueling(3)
+    form = DuelingHead(3)
     joined = form.action_values(streams, axis=1)
     assert joined[0].tolist() == [[10 + 1 - 3, 20 + 2 - 2], [10 + 3 - 3, 18], [12, 22]]
     turned = form.action_values(np.moveaxis(streams, 1, 2), axis=-1)
     assert same_bits(turned, joined.transpose(0, 2, 1))
 
 
-def test_what_choices_are_worth_adds_up_to_a_hand_computed_case():
-    worth = np.array([[[1, 2], [3, 0], [10, 20], [30, 40], [50, 60]]], np.float32)
-    form = Factored((2, 3))  # of two choices, then of three
-    added = form.action_values(worth, axis=1)
-    assert added[0, :, 0].tolist() == [11, 31, 51, 13, 33, 53]
-    assert added[0, :, 1].tolist() == [22, 42, 62, 20, 40, 60]
-    turned = form.action_values(np.moveaxis(worth, 1, 2), axis=-1)
-    assert same_bits(turned, added.transpose(0, 2, 1))
-
-
-FORMS = st.one_of(
-    st.builds(Dueling, st.integers(1, 5)),
-    st.builds(Factored, st.lists(st.integers(1, 4), min_size=1, max_size=3).map(tuple)),
-)
-
-
-@given(FORMS, st.integers(1, 4), st.integers(0, 99))
+@given(st.builds(DuelingHead, st.integers(1, 5)), st.integers(1, 4), st.integers(0, 99))
 def test_the_way_back_through_a_form_is_the_transposed_map(form, batch, seed):
     rng = np.random.default_rng(seed)
     outputs = rng.normal(size=(2, form.outputs, batch)).astype(np.float32)
     slope = rng.normal(size=(2, form.actions, batch)).astype(np.float32)
     back = np.empty_like(outputs)
-    form.outputs_slope(slope, back)
+    form.backward(slope, back)
     there = (form.action_values(outputs, axis=1) * slope).sum()
     np.testing.assert_allclose(there, (outputs * back).sum(), rtol=1e-3, atol=1e-3)
-
-
-@pytest.mark.parametrize("levels", [1, 3, 6])
-def test_a_factored_networks_values_are_in_the_order_of_the_robots_actions(levels):
-    directions, powers = np.arange(4), np.arange(levels)
-    worth = np.concatenate([100 * directions, powers]).astype(np.float32)
-    values = Factored(actions.factors(levels)).action_values(worth, axis=-1)
-    direction, level = actions.decode(np.arange(4 * levels), levels)
-    assert values.tolist() == (100 * direction + level - 1).tolist()
-
-
-@pytest.mark.parametrize("changes", [{"updates": 2}, {"priority": PriorityConfig(alpha=0.5)}])
-def test_a_stack_of_several_runs_refuses_draws_that_depend_on_its_steps(changes):
-    config = small_config(**changes)
-    with pytest.raises(ValueError, match="one step at a time"):
-        Stack(2).seat(0)(shape_of(config), config, 0.8, 1)
 
 
 def test_agents_with_priorities_draw_by_their_own_streams_alone():

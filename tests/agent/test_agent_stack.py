@@ -39,8 +39,6 @@ VARIANTS = {
     "n-step returns": ({"n_step": 3}, 0.8, 0.0),
     "dueling": ({"dueling": True}, 0.8, 0.0),
     "dueling, batch of one": ({"dueling": True, "double": True, "batch_size": 1}, 0.8, 0.0),
-    "factored": ({"factored": True}, 0.8, 0.0),
-    "factored, batch of one": ({"factored": True, "double": True, "batch_size": 1}, 0.8, 0.0),
     "priorities": ({"priority": PriorityConfig(alpha=0.6)}, 0.8, 0.0),
     "two updates": ({"updates": 2}, 0.8, 0.0),
     "falling rate": ({"learning_rate_end": 1e-5, "learning_rate_updates": 200}, 0.8, 0.0),

@@ -13,8 +13,7 @@ from experiments.reproduce import card
 @pytest.mark.parametrize(
     ("override", "robots", "ap"),
     [
-        ("agent.factored=false", 24, 4),
-        ("agent.factored=true", 4 + 6, 4),
+        ("agent.dueling=false", 24, 4),
         ("agent.dueling=true", 24 + 1, 4 + 1),
     ],
 )
@@ -28,9 +27,3 @@ def test_the_last_layer_has_an_output_for_whatever_makes_values(
     row = card._sizes(SimpleNamespace(name="mine", run=SimpleNamespace(config=config)))
     assert f" - 64 - 64 - {robots} | " in row
     assert f" - 64 - 64 - {ap} | " in row
-
-
-def test_factors_follow_the_number_of_power_levels() -> None:
-    config = compose(["agent.factored=true", "env.power.levels=3"])
-    assert robot_network(config).factors == (4, 3)
-    assert robot_network(config).actions == 12

@@ -255,7 +255,7 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         ["baseline=oracle_phase", "env.channel.fading=slot"],
         slow(["strategy=fedmedian"]),
         ["strategy=fedadam", *EVERY_OPTION],
-        ["strategy=fedavgm", "agent.factored=true"],
+        ["strategy=fedavgm"],
         ["baseline=centralized", "env.robots=2", *EVERY_OPTION],
         slow(["baseline=branching", "agent.updates=2", *FALLING]),
     ],
