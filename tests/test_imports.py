@@ -20,7 +20,7 @@ RULES = {
     "env.parallel_env": {"env", "numpy", "gymnasium", "pettingzoo"},
     "env.single_robot": {"env", "numpy", "gymnasium", "pettingzoo"},
     "env": {"env", "numpy"},
-    "agent": {"agent", "numpy", "torch", "safetensors"},
+    "agent": {"agent", "numpy", "torch", "safetensors", "threadpoolctl"},
     "conf": {"conf", "agent", "env", "hydra", "omegaconf", "yaml"},
     "client_app": {"client_app", "agent", "env", "conf", "flwr", "numpy"},
     "server_app": {

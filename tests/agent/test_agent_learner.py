@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from agent_helpers import Experience, fleet, generators, live, same_bits, shape_of, small_config
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from agent import DQN, AgentConfig, NetworkShape, PriorityConfig, TargetConfig, single_threaded
 from agent.learner import Learner, learning_rate_at, neighbours
@@ -230,14 +231,16 @@ def test_a_chain_is_learned_to_its_end():
         assert (agents.act(sight[[cell] * 3], 0.0, on) == 1).all()
 
 
-def test_single_threaded_holds_when_repeated(monkeypatch, tmp_path):
+def test_single_threaded_holds_when_repeated():
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(2)
-        single_threaded()
-        single_threaded()
-        assert torch.get_num_threads() == 1
-        monkeypatch.setattr("agent.threads._MEMORY_MAP", tmp_path / "none")
-        single_threaded()
+        with threadpool_limits(2, user_api="blas"):
+            single_threaded()
+            single_threaded()
+            assert torch.get_num_threads() == 1
+            products = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+            assert products
+            assert {pool["num_threads"] for pool in products} == {1}
     finally:
         torch.set_num_threads(threads)
