@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from env import actions as robot_actions
-from env.checks import checked_config
+from env import lateness
+from env.checks import checked_config, refuse
 from env.config import EnvConfig
 from env.destinations import draw_destinations
 from env.floor import UNREACHABLE
@@ -135,6 +136,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.config = checked_config(config)
         self.render_mode = render_mode
         destinations = draw_destinations(self.config, stream(seed, Stream.DESTINATIONS))
+        refuse(lateness.problems(self.config, destinations))
         self.world = World(self.config, destinations, stream(seed, Stream.WORLD))
         self.robots = [f"robot_{k}" for k in range(self.world.robots)]
         self.possible_agents = [*self.robots, AP]

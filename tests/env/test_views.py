@@ -164,7 +164,8 @@ def test_robots_leave_on_arrival_and_the_access_point_with_the_last() -> None:
 
 
 def test_time_runs_out_for_all_that_are_left() -> None:
-    view = parallel_env(config={"robots": 2, "motion": {"max_slots": 2}})
+    tasks = {"start_distance_m": 1.0}
+    view = parallel_env(config={"robots": 2, "motion": {"max_slots": 2}, "tasks": tasks})
     view.reset(options={"starts_m": [beside(view, 2)[0], beside(view, 3)[1]]})
     moves = {"robot_0": EAST, "robot_1": EAST, AP: 0}
     view.step(moves)
@@ -292,7 +293,8 @@ def test_other_robots_arrive_on_time_and_end_nothing() -> None:
 
 
 def test_the_single_robot_is_truncated_at_the_time_limit() -> None:
-    view = single(config={"robots": 1, "motion": {"max_slots": 3}})
+    tasks = {"start_distance_m": 1.0}
+    view = single(config={"robots": 1, "motion": {"max_slots": 3}, "tasks": tasks})
     view.reset(seed=0)
     ends = [view.step(np.int64(0))[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
