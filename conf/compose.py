@@ -26,6 +26,7 @@ from conf.schema import Config
 from env.checks import planned_config
 from env.config import EnvConfig, Problem
 from env.floor_plans import KEYS as PLAN_KEYS
+from env.texts import read_unmarked_text
 
 FOLDER = Path(__file__).parent
 GROUPS = ("env", "agent", "strategy", "runtime", "baseline", "experiment")
@@ -211,6 +212,11 @@ def _check_choice(group: str, override: Override) -> None:
     for value in values or [str(override.value())]:
         if value not in choices:
             raise ConfigError.of([(group, value, f"one of {', '.join(choices)}")])
+        path = FOLDER / group / f"{value}.yaml"
+        try:
+            read_unmarked_text(path, "Hydra")
+        except (OSError, UnicodeError) as error:
+            raise ConfigError(f"{group}={value}: {path} cannot be read: {error}.") from error
 
 
 def _check_key(key: str) -> Any:

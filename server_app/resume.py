@@ -12,6 +12,7 @@ from typing import Any
 from agent import CheckpointError
 from conf import Config, ConfigError, compose, fingerprint, overridden, robots_learn, to_yaml
 from conf.places import STATE
+from env.texts import read_text
 from server_app.checkpoint import Checkpoint, latest
 from server_app.files import check_files
 from server_app.preflight import check, checked_yaml
@@ -102,7 +103,7 @@ def standing(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None
 
 def _ended(config: Config, folder: Path) -> dict[str, Any] | None:
     """What ``summary.json`` holds if the run has come to its end."""
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8-sig"))
     return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
 
 
@@ -154,8 +155,8 @@ def _config(folder: Path, overrides: Sequence[str]) -> Config:
     """The run's own configuration, with what is set anew."""
     compose(overrides)  # checks each of them by itself
     try:
-        config = checked_yaml((folder / "config.yaml").read_text())
-    except (OSError, UnicodeDecodeError) as error:
+        config = checked_yaml(read_text(folder / "config.yaml"))
+    except (OSError, UnicodeError) as error:
         raise ConfigError(f"{PREFIX}{folder}: config.yaml cannot be read: {error}.") from error
     config = overridden(config, overrides)
     return check(dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder))))
