@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             console.print(f"{time.perf_counter() - began:.0f} s", highlight=False)
     console.print(table(results))
-    given.json.write_text(as_json(results, failed, quick=given.quick))
+    given.json.write_text(as_json(results, failed, quick=given.quick), encoding="utf-8")
     console.print(f"written to {given.json}", highlight=False, soft_wrap=True)
     return 1 if failed else 0
 

@@ -175,7 +175,7 @@ def train(
         *("env.tasks.destination_spacing_m=2", "run.figures=false", "run.tensorboard=false"),
     ]
     said = folder.with_suffix(".out")
-    with said.open("w") as output:
+    with said.open("w", encoding="utf-8") as output:
         process = subprocess.Popen(
             command, stdout=output, stderr=subprocess.STDOUT, env={**os.environ, **(marks or {})}
         )
@@ -185,8 +185,9 @@ def train(
             _stop(process)
             raise
     if process.returncode != 0:
-        raise RunError(f"risfleet train runtime={runtime} failed: {said.read_text()[-2000:]}")
-    summary: Summary = json.loads((folder / "summary.json").read_text())
+        last = said.read_text(encoding="utf-8")[-2000:]
+        raise RunError(f"risfleet train runtime={runtime} failed: {last}")
+    summary: Summary = json.loads((folder / "summary.json").read_text(encoding="utf-8-sig"))
     return summary
 
 

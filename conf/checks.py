@@ -9,6 +9,7 @@ from typing import Any
 from agent.config import problems as agent_problems
 from conf.schema import Config
 from conf.scheme_checks import problems as scheme_problems
+from env import lateness
 from env.config import Problem
 from env.config_checks import problems as env_problems
 from env.destinations import draw_destinations
@@ -109,9 +110,12 @@ def _deployment_problems(config: Config) -> list[Problem]:
 
 
 def _destination_problems(config: Config) -> list[Problem]:
-    """Whether the floor holds the destinations that are drawn; that depends on the seed."""
+    """Whether the floor holds the destinations that are drawn, and robots can drive to them.
+
+    Both depend on the seed.
+    """
     try:
-        draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
+        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
     except ValueError as error:
         return [("env.robots", config.env.robots, f"fewer, or closer destinations: {error}")]
-    return []
+    return lateness.problems(config.env, destinations)

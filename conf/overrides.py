@@ -18,6 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from conf.errors import ConfigError, first_sentence, shown
 from conf.schema import Config
 from conf.user_paths import PATHS, with_quoted_path
+from env.texts import read_unmarked_text
 
 FOLDER = Path(__file__).parent
 GROUPS = ("env", "agent", "strategy", "runtime", "baseline", "experiment")
@@ -165,6 +166,11 @@ def _check_choice(group: str, override: Override) -> None:
     for value in values or [str(override.value())]:
         if value not in choices:
             raise ConfigError.of([(group, value, f"one of {', '.join(choices)}")])
+        path = FOLDER / group / f"{value}.yaml"
+        try:
+            read_unmarked_text(path, "Hydra")
+        except (OSError, UnicodeError) as error:
+            raise ConfigError(f"{group}={value}: {path} cannot be read: {error}.") from error
 
 
 def check_key(key: str) -> Any:

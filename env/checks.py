@@ -8,7 +8,7 @@ from numbers import Integral, Real
 from typing import Any
 
 from env import floor_plans
-from env.config import EnvConfig
+from env.config import EnvConfig, Problem
 from env.config_checks import problems
 
 
@@ -33,12 +33,16 @@ def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvCo
         plan = given.get("plan", floor_plans.DEFAULT) if isinstance(given, Mapping) else None
         base = planned_config(plan) if isinstance(plan, str) else EnvConfig()
         whole = _replaced(base, given, "env")
-    found = problems(whole)
+    refuse(problems(whole))
+    return whole
+
+
+def refuse(found: Sequence[Problem]) -> None:
+    """Raises a ``ValueError`` that names each key, its value and what is allowed, if any is."""
     if found:
         raise ValueError(
             "\n".join(f"{key}={value!r}: allowed is {say}" for key, value, say in found)
         )
-    return whole
 
 
 def planned_config(plan: str) -> EnvConfig:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from env import plugins
+from env import lateness, mounting, plugins
 from env.config import (
     BETWEEN,
     CHOICES,
@@ -98,7 +98,8 @@ def _geometry_problems(config: EnvConfig) -> list[Problem]:
         if not _numbers(segment, 4) or segment[:2] == segment[2:]:
             found.append(("env.walls.segments", segment, "segments [x0, y0, x1, y1] in m"))
     starts = _fixed_start_problems if config.tasks.start == "fixed" else _start_problems
-    return found or _destination_problems(config) or starts(config) or _way_problems(config)
+    found = found or mounting.problems(config) or _destination_problems(config)
+    return found or starts(config) or _way_problems(config) or lateness.given_problems(config)
 
 
 def _destination_problems(config: EnvConfig) -> list[Problem]:

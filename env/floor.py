@@ -101,11 +101,14 @@ class Floor:
             walled[near] |= _touches(low_m[near], high_m[near], wall[0], wall[1])
         return walled
 
-    def slots_to(self, destinations: NDArray[np.int64]) -> NDArray[np.int64]:
+    def slots_to(
+        self, destinations: NDArray[np.int64], most: int = UNREACHABLE
+    ) -> NDArray[np.int64]:
         """Fewest slots from every cell to each destination along the moves that robots have.
 
         Args:
             destinations: cells, shape (n,).
+            most: slots; with solid walls longer ways are not looked for, which saves time.
 
         Returns:
             Slots, shape (cells, n); ``UNREACHABLE`` where solid walls leave no way.
@@ -116,7 +119,7 @@ class Floor:
         slots = np.full((self.cells, len(destinations)), UNREACHABLE)
         for column, destination in zip(slots.T, destinations, strict=True):
             front, length = np.array([destination]), 0
-            while len(front):
+            while len(front) and length <= most:
                 column[front] = length
                 reached = np.unique(moves[front])
                 front, length = reached[column[reached] == UNREACHABLE], length + 1

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from env.config import RoomConfig, TasksConfig, WallsConfig
+from env.texts import read_text
 
 FOLDER = Path(__file__).parent / "plans"
 DEFAULT = "default"
@@ -59,8 +60,8 @@ def read(name: str) -> dict[str, Any]:
     """
     path = find(name)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        values = tomllib.loads(read_text(path))
+    except (OSError, UnicodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"env.plan={name}: allowed is a TOML file ({error})") from error
     for key, value in _leaves(values):
         if key not in KEYS:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
 from env import actions as robot_actions
-from env.checks import checked_config
+from env import lateness
+from env.checks import checked_config, refuse
 from env.config import EnvConfig
 from env.destinations import draw_destinations
 from env.floor import UNREACHABLE
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 AP = "ap"
 CHANNEL_BOUND = 10.0
 """Bound of the channel's entry: |hbar|^2 from -270 to 130 dB, more than any floor has."""
+TEST_OPTION = "options"
+"""Means nothing: PettingZoo's own test of environments gives it to each of them."""
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -99,8 +102,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     2. Truncation: of all that are left after T_max slots (150).
 
     Infos of a robot hold ``rate`` (bit/s/Hz), ``power_w``, ``gain_db`` (|h|^2 with the RIS),
-    ``sic_failed`` and ``arrived`` of the slot; of the access point ``sum_rate``, ``projected`` and
-    ``margin_dropped``; after a reset, of a robot ``shortest_slots``, the length of its way.
+    ``sic_failed`` and ``arrived`` of the slot, and ``shortest_slots``, the length of the way that
+    is left; of the access point ``sum_rate``, ``projected`` and ``margin_dropped``. A reset has the
+    same keys: nothing has been sent, and ``gain_db`` is that of the direct channel.
 
     ## Arguments
 
@@ -135,6 +139,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.config = checked_config(config)
         self.render_mode = render_mode
         destinations = draw_destinations(self.config, stream(seed, Stream.DESTINATIONS))
+        refuse(lateness.problems(self.config, destinations))
         self.world = World(self.config, destinations, stream(seed, Stream.WORLD))
         self.robots = [f"robot_{k}" for k in range(self.world.robots)]
         self.possible_agents = [*self.robots, AP]
@@ -177,22 +182,29 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Begins an episode; ``starts_m`` in the options is in m, shape (K, 2)."""
+        """Begins an episode; ``starts_m`` in the options is in m, shape (K, 2).
+
+        Raises:
+            ValueError: another option, or starts that cannot be.
+        """
+        starts = _starts_asked(options)
+        cell = None if starts is None else self._start_cells(starts)[None]
         if seed is not None:
             self.world.generator = stream(seed, Stream.WORLD)
-        starts = (options or {}).get("starts_m")
-        self.world.reset(None if starts is None else self._start_cells(starts)[None])
+        self.world.reset(cell)
         self.agents = list(self.possible_agents)
         self._way, self._outcome = [self.world.cell[0]], None
-        shortest = self.world.shortest_slots[0]
-        infos: Infos = {n: {"shortest_slots": int(shortest[k])} for k, n in enumerate(self.robots)}
-        return self._observations(), {**infos, AP: {}}
+        return self._observations(), self._infos(self.world.direct[0])
 
     def _start_cells(self, starts_m: Any) -> NDArray[np.int64]:
-        position = np.asarray(starts_m, dtype=np.float64)
-        key = f"options.starts_m={position.tolist()}"
+        shown = starts_m.tolist() if isinstance(starts_m, np.ndarray) else starts_m
+        key, allowed = f"options.starts_m={shown!r}", f"{self.world.robots} positions [x, y] in m"
+        try:
+            position = np.asarray(starts_m, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{key}: allowed is {allowed}") from error
         if position.shape != (self.world.robots, 2) or not np.isfinite(position).all():
-            raise ValueError(f"{key}: allowed is {self.world.robots} positions [x, y] in m")
+            raise ValueError(f"{key}: allowed is {allowed}")
         if (position < 0).any() or (position >= self.world.floor.size_m).any():
             raise ValueError(f"{key}: allowed is inside the room")
         cell = self.world.floor.cell_at(position)
@@ -229,7 +241,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         paid = dict(zip(self.robots, outcome.local_reward[0].tolist(), strict=True))
         paid[AP] = float(outcome.global_reward[0])
         out_of_time = bool(outcome.truncated[0])
-        seen, infos = self._observations(), _infos(self.robots, outcome, np.abs(channel))
+        seen, infos = self._observations(), self._infos(channel)
         self.agents = [name for name in live if not (ended[name] or out_of_time)]
         return (
             {name: seen[name] for name in live},
@@ -254,6 +266,30 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         local = self.world.local_observations()
         seen = {name: local[0, k].copy() for k, name in enumerate(self.robots)}
         return {**seen, AP: self.world.global_observation(local)[0]}
+
+    def _infos(self, channel: NDArray[np.complex128]) -> Infos:
+        """The infos of a slot, with h_k in it, shape (K,); of none after a reset."""
+        world, outcome = self.world, self._outcome
+        nothing = np.zeros(world.robots)
+        sent = outcome.allocation if outcome else None
+        columns = {
+            "rate": outcome.rate[0] if outcome else nothing,
+            "power_w": sent.power_w[0] if sent else nothing,
+            "gain_db": 20.0 * np.log10(np.abs(channel)),
+            "sic_failed": sent.sic_failed[0] if sent else nothing.astype(bool),
+            "arrived": outcome.arrived[0] if outcome else nothing.astype(bool),
+            "shortest_slots": world.shortest_slots[0],
+        }
+        infos: Infos = {
+            name: {key: column[k].item() for key, column in columns.items()}
+            for k, name in enumerate(self.robots)
+        }
+        infos[AP] = {
+            "sum_rate": float(columns["rate"].sum()),
+            "projected": bool(sent.projected[0]) if sent else False,
+            "margin_dropped": bool(sent.margin_dropped[0]) if sent else False,
+        }
+        return infos
 
     def render(self) -> NDArray[np.uint8] | str | None:
         """The floor and the ways so far: a picture, shape (480, 480, 3), or lines of text."""
@@ -295,23 +331,11 @@ def parallel_env(**kwargs: Any) -> RISFleetParallelEnv:
     return RISFleetParallelEnv(**kwargs)
 
 
-def _infos(robots: list[str], outcome: Outcome, amplitude: NDArray[np.float64]) -> Infos:
-    """The infos of a slot; ``amplitude`` is |h_k| in it, shape (K,)."""
-    sent = outcome.allocation
-    columns = {
-        "rate": outcome.rate[0],
-        "power_w": sent.power_w[0],
-        "gain_db": 20.0 * np.log10(amplitude),
-        "sic_failed": sent.sic_failed[0],
-        "arrived": outcome.arrived[0],
-    }
-    infos: Infos = {
-        name: {key: column[k].item() for key, column in columns.items()}
-        for k, name in enumerate(robots)
-    }
-    infos[AP] = {
-        "sum_rate": float(outcome.rate.sum()),
-        "projected": bool(sent.projected[0]),
-        "margin_dropped": bool(sent.margin_dropped[0]),
-    }
-    return infos
+def _starts_asked(options: Mapping[str, Any] | None) -> Any:
+    """``starts_m`` of a reset's options, None without."""
+    if options is not None and not isinstance(options, Mapping):
+        raise ValueError(f"options={options!r}: allowed is a mapping with starts_m, or None")
+    for name, value in (options or {}).items():
+        if name not in ("starts_m", TEST_OPTION):
+            raise ValueError(f"options.{name}={value!r}: allowed is the option starts_m alone")
+    return (options or {}).get("starts_m")

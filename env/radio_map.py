@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from env import codebook, plugins, propagation
+from env import codebook, mounting, plugins, propagation
 from env.config import EnvConfig, RisConfig, phase_actions
-from env.floor import Floor, line_of_sight
+from env.floor import Floor
 from env.seeding import Stream, stream
 
 MAX_TABLE = 2**20
@@ -96,8 +96,8 @@ def build_radio_map(config: EnvConfig) -> RadioMap:
     floor = Floor.from_config(config)
     centres = floor.centres()
     at = np.column_stack([centres, np.full(len(centres), config.motion.antenna_height_m)])
-    direct_los = line_of_sight(np.asarray(config.ap.position_m), centres, floor.walls)
-    ris_los = line_of_sight(np.asarray(config.ris.position_m), centres, floor.walls)
+    direct_los = mounting.sees(floor, config.ap.position_m, centres)
+    ris_los = mounting.sees(floor, config.ris.position_m, centres)
     own = plugins.own_channel(config, floor)
     direct, reflected = own or (
         _direct(config, at, direct_los),
@@ -144,7 +144,9 @@ def _reflected(
     """c_n at points in m, shape (P, N), or c under each beam, shape (P, beams)."""
     ap, ris = np.asarray(config.ap.position_m), np.asarray(config.ris.position_m)
     frequency = config.channel.frequency_ghz
-    feed_los = line_of_sight(ris, ap[None, :2], Floor.from_config(config).walls)
+    feed_los = mounting.see_each_other(
+        Floor.from_config(config), config.ris.position_m, config.ap.position_m
+    )
     feed_m, distance_m = _distance(ap[None], ris), _distance(at, ris)
     incoming = propagation.path_loss_db(feed_m, frequency, feed_los)
     outgoing = propagation.path_loss_db(distance_m, frequency, los)

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from env import actions, oracles
 from env.checks import checked_config
 from env.config import EnvConfig
-from env.parallel_env import AP, RISFleetParallelEnv
+from env.parallel_env import AP, Infos, RISFleetParallelEnv
 
 ROBOT = "robot_0"
 OTHERS = ("shortest", "none")
+NO_PHASE = -1
+"""The info ``phase`` after a reset, before the access point has taken one."""
 
 
 class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
@@ -76,7 +78,9 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     2. Truncation: T_max slots (150) are over. Other robots' arrivals end nothing.
 
     Infos hold ``rate``, ``power_w``, ``gain_db``, ``sic_failed`` and ``arrived`` of the robot,
-    ``sum_rate`` of all and the ``phase`` taken; after a reset, ``shortest_slots``.
+    ``shortest_slots``, the length of the way that it has left, ``sum_rate`` of all and the
+    ``phase`` taken. A reset has the same keys: nothing has been sent, ``gain_db`` is that of the
+    direct channel, and ``phase`` is -1.
 
     ## Arguments
 
@@ -127,11 +131,15 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begins an episode; ``starts_m`` in the options is in m, shape (K, 2)."""
+        """Begins an episode; ``starts_m`` in the options is in m, shape (K, 2).
+
+        Raises:
+            ValueError: another option, or starts that cannot be.
+        """
         super().reset(seed=seed)
         self._fleet.world.generator = self.np_random
         observations, infos = self._fleet.reset(options=options)
-        return observations[ROBOT], infos[ROBOT]
+        return observations[ROBOT], _info(infos, NO_PHASE)
 
     def step(
         self, action: np.int64
@@ -141,8 +149,8 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             raise ResetNeeded("the episode is over or has not begun: call reset")
         moves = self._others_and_phase(action)
         observations, rewards, terminated, truncated, infos = self._fleet.step(moves)
-        info = {**infos[ROBOT], "sum_rate": infos[AP]["sum_rate"], "phase": moves[AP]}
         ended, out_of_time = terminated[ROBOT], truncated[ROBOT]
+        info = _info(infos, moves[AP])
         return observations[ROBOT], rewards[ROBOT], ended, out_of_time, info
 
     def _others_and_phase(self, action: np.int64) -> dict[str, Any]:
@@ -164,3 +172,8 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     def close(self) -> None:
         """Lets the picture go."""
         self._fleet.close()
+
+
+def _info(infos: Infos, phase: int) -> dict[str, Any]:
+    """The robot's info, with what it is told of the access point."""
+    return {**infos[ROBOT], "sum_rate": infos[AP]["sum_rate"], "phase": phase}

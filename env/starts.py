@@ -17,19 +17,27 @@ def fixed_starts(config: EnvConfig, floor: Floor) -> NDArray[np.int64]:
     return floor.cell_at(np.asarray(config.tasks.starts_m[: config.robots], dtype=np.float64))
 
 
+def allowed_cells(
+    config: EnvConfig, floor: Floor, destinations: NDArray[np.int64]
+) -> list[NDArray[np.int64]]:
+    """The cells to start from with ``tasks.start=random``, rising, an array for each destination.
+
+    They lie on the drivable floor, in a straight line at least ``tasks.start_distance_m`` from the
+    destination.
+    """
+    far = guidance.straight_m(floor, destinations) >= config.tasks.start_distance_m
+    return [np.flatnonzero(column) for column in (far & floor.drivable()[:, None]).T]
+
+
 def start_cells(
     config: EnvConfig, floor: Floor, destinations: NDArray[np.int64]
 ) -> list[NDArray[np.int64]]:
-    """The cells that each robot may start from with ``tasks.start=random``, rising, K arrays.
-
-    They lie on the drivable floor, in a straight line at least ``tasks.start_distance_m`` from the
-    robot's destination.
+    """As ``allowed_cells``, K arrays.
 
     Raises:
         ValueError: with ``collisions=block``, a robot has fewer of them than there are robots.
     """
-    far = guidance.straight_m(floor, destinations) >= config.tasks.start_distance_m
-    cells = [np.flatnonzero(column) for column in (far & floor.drivable()[:, None]).T]
+    cells = allowed_cells(config, floor, destinations)
     wanted = config.collisions == "block" and config.tasks.start == "random"
     if wanted and min(map(len, cells)) < len(destinations):
         raise ValueError(f"no room for {len(destinations)} starts in cells of their own")

@@ -55,7 +55,9 @@ _NOTHING_YET: dict[str, Any] = {
 def read_progress(folder: Path) -> dict[str, Any] | None:
     """What a run last wrote to ``progress.json``; None if it has not yet."""
     try:
-        written: dict[str, Any] = json.loads((folder / "progress.json").read_text())
+        written: dict[str, Any] = json.loads(
+            (folder / "progress.json").read_text(encoding="utf-8-sig")
+        )
     except (OSError, ValueError):
         return None
     return _NOTHING_YET | written if isinstance(written, dict) else None

@@ -18,6 +18,7 @@ from safetensors.numpy import load_file
 from agent import single_threaded
 from conf import Config, ConfigError, from_yaml, learns_nothing, weight_shapes
 from conf.user_paths import user_path
+from env.texts import read_text
 from experiments.display import evaluation_table
 from server_app.evaluation import Evaluator
 from server_app.files import to_json, write_atomically
@@ -149,8 +150,10 @@ def read_config(folder: Path) -> Config:
     """
     path = folder / "config.yaml"
     try:
-        return from_yaml(path.read_text())
-    except (OSError, UnicodeDecodeError) as error:
+        return from_yaml(read_text(path))
+    except UnicodeError as error:
+        raise ConfigError(f"{path} cannot be read: {error}.") from error
+    except OSError as error:
         raise ConfigError(f"{folder} is no run folder: {path.name} cannot be read.") from error
 
 

@@ -84,7 +84,9 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     path = folder / "summary.json"
     if not path.exists():
         return {}
-    summary: dict[str, Any] = json.loads(path.read_text()) | {"restarts": restarts}
+    summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8-sig")) | {
+        "restarts": restarts
+    }
     write_atomically(path, to_json(summary))
     return summary
 

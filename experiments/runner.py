@@ -15,7 +15,7 @@ from conf import Config, ConfigError
 from conf.places import STATE, server_folder
 from env.link import LinkError
 from env.plugins import PluginError
-from experiments import local, on_flower
+from experiments import local, notices, on_flower
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
 from experiments.folders import alone, clear, placed
@@ -144,4 +144,5 @@ def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, Path
     """See ``placed``; says where the run is."""
     config, folder = placed(config, folder)
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+    notices.show(config, console)
     return config, folder

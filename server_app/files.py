@@ -29,7 +29,7 @@ def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
         durable: whether it must outlast a crash of the machine.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with naming(path), temporary.open("w", newline="") as file:
+    with naming(path), temporary.open("w", encoding="utf-8", newline="") as file:
         file.write(text)
         file.flush()
         if durable:
@@ -50,7 +50,9 @@ def report_state(folder: Path, state: str, message: str) -> None:
         OSError: the file cannot be written.
     """
     path = folder / "progress.json"
-    status: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    status: dict[str, Any] = (
+        json.loads(path.read_text(encoding="utf-8-sig")) if path.exists() else {}
+    )
     if status.get("state") == "failed":
         return
     status |= {"state": state, "message": message, "written_at": time.time()}
@@ -97,7 +99,7 @@ class CsvLog:
         whole.writeheader()
         whole.writerows(self.kept)
         write_atomically(path, text.getvalue())
-        self._path, self._file = path, path.open("a", newline="")
+        self._path, self._file = path, path.open("a", encoding="utf-8", newline="")
         self._writer = csv.DictWriter(self._file, columns, extrasaction="ignore")
 
     def write(self, row: dict[str, float]) -> None:
@@ -135,7 +137,7 @@ def _read_rows(path: Path, count: int) -> list[dict[str, float]]:
         CheckpointError: there are fewer.
     """
     try:
-        with path.open(newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(islice(csv.DictReader(file), count))
     except FileNotFoundError:
         rows = []

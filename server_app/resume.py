@@ -22,6 +22,7 @@ from conf import (
 from conf.overrides import parse
 from conf.places import STATE
 from conf.user_paths import RESUME, pasted, resumed_folder
+from env.texts import read_text
 from server_app.checkpoint import Checkpoint, latest
 from server_app.files import check_files
 from server_app.preflight import check, checked_yaml
@@ -116,7 +117,7 @@ def standing(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None
 
 def _ended(config: Config, folder: Path) -> dict[str, Any] | None:
     """What ``summary.json`` holds if the run has come to its end."""
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8-sig"))
     return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
 
 
@@ -181,8 +182,8 @@ def _folder(overrides: Sequence[str]) -> Path:
 def _config(folder: Path, overrides: Sequence[str]) -> Config:
     """The run's own configuration, with what is set anew."""
     try:
-        config = checked_yaml((folder / "config.yaml").read_text())
-    except (OSError, UnicodeDecodeError) as error:
+        config = checked_yaml(read_text(folder / "config.yaml"))
+    except (OSError, UnicodeError) as error:
         raise ConfigError(f"resume={folder}: config.yaml cannot be read: {error}.") from error
     config = overridden(config, overrides)
     return check(dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder))))

@@ -66,15 +66,37 @@ def test_torchrl_trains_robots_and_access_point():
 
 
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
+def test_torchrls_own_wrapper_takes_the_fleet_as_it_is():
+    fleet = example("torchrl_fleet")
+    view, twin = (fleet.env.RISFleetParallelEnv({"robots": 2}) for _ in range(2))
+    goals = view.world.floor.centres()[view.world.destinations]
+    options = {"starts_m": (goals - [[0.5, 0.0], [1.5, 0.0]]).tolist()}
+    groups = {"robots": view.robots, "access_point": [fleet.AP]}
+    made = fleet.PettingZooWrapper(view, group_map=groups, use_mask=True, done_on_any=False)
+    slot, (_, infos) = made.reset(options=options), twin.reset(options=options)
+    for _ in range(3):
+        for name in twin.agents:
+            group = "access_point" if name == fleet.AP else "robots"
+            row = 0 if name == fleet.AP else view.robots.index(name)
+            seen = {key: float(column[row]) for key, column in slot[group, "info"].items()}
+            told = {key: float(value) for key, value in infos[name].items()}
+            assert seen == pytest.approx(told, rel=1e-6)
+        assert slot["robots", "mask"].tolist() == [name in twin.agents for name in twin.robots]
+        slot["robots", "action"] = torch.full((2,), 12)  # east, at the highest power
+        slot["access_point", "action"] = torch.zeros(1, dtype=torch.int64)
+        moves = dict.fromkeys(twin.robots, 12) | {fleet.AP: 0}
+        _, slot = made.step_and_maybe_reset(slot)
+        *_, infos = twin.step(moves)
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
 def test_torchrl_learns_nothing_from_robots_that_have_arrived():
     fleet = example("torchrl_fleet")
     view = fleet.env.RISFleetParallelEnv({"robots": 2})
     goals = view.world.floor.centres()[view.world.destinations]
     starts = (goals - [[0.5, 0.0], [1.5, 0.0]]).tolist()
     groups = {"robots": view.possible_agents[:-1], "access_point": [fleet.AP]}
-    wrapped = fleet.PettingZooWrapper(
-        fleet.WithoutInfos(view), group_map=groups, use_mask=True, done_on_any=False
-    )
+    wrapped = fleet.PettingZooWrapper(view, group_map=groups, use_mask=True, done_on_any=False)
     slot = wrapped.reset(options={"starts_m": starts})
     learner, kept = fleet.Learner(wrapped, "robots", 10), []
     for _ in range(3):

@@ -7,11 +7,9 @@ TorchRL's tensors under a mask, and what the mask leaves out is not learned from
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
-from pettingzoo.utils import BaseParallelWrapper
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -25,20 +23,6 @@ from env.parallel_env import AP
 HELD_OUT = 1_000_000
 """Evaluation episodes have the seeds from here on."""
 BATCH, GAMMA, REWARD_SCALE = 64, 0.95, 0.05
-
-
-class WithoutInfos(BaseParallelWrapper):
-    """TorchRL wants the same infos at a reset as at a step; this leaves both out."""
-
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        """Begins an episode."""
-        seen, infos = super().reset(seed, options)
-        return seen, {agent: {} for agent in infos}
-
-    def step(self, actions: Mapping[str, Any]) -> Any:
-        """One slot."""
-        *rest, infos = super().step(actions)
-        return (*rest, {agent: {} for agent in infos})
 
 
 class Score(NamedTuple):
@@ -121,7 +105,7 @@ def train(
 
 
 def _train(steps: int, robots: int, seed: int, episodes: int) -> tuple[list[Learner], Score, Score]:
-    fleet = WithoutInfos(env.RISFleetParallelEnv({"robots": robots}))
+    fleet = env.RISFleetParallelEnv({"robots": robots})
     groups = {"robots": fleet.possible_agents[:-1], "access_point": [AP]}
     view = PettingZooWrapper(fleet, group_map=groups, use_mask=True, done_on_any=False, seed=seed)
     learners = [Learner(view, group, steps) for group in groups]

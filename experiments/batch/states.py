@@ -65,7 +65,7 @@ def _is_done(config: Config) -> bool:
     """Whether a run has ended as it was meant to, and its files can be read."""
     folder = folder_of(config)
     try:
-        summary = json.loads((folder / "summary.json").read_text())
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8-sig"))
         whole = not summary["stopped_early"] and summary["fingerprint"] == fingerprint(config.env)
         if not whole or not resume.same(read_config(folder), config):
             return False

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Self
 from urllib.parse import urlsplit
 
+from env.texts import read_unmarked_text
 from experiments.flower import commands
 from experiments.flower.control import Status
 from experiments.flower.environment import FlowerError, tail
@@ -92,8 +93,8 @@ def flower_home() -> Path:
 def _check(name: str) -> None:
     path = flower_home() / "config.toml"
     try:
-        known = tomllib.loads(path.read_text(encoding="utf-8")).get("superlink", {})
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        known = tomllib.loads(read_unmarked_text(path, "Flower")).get("superlink", {})
+    except (OSError, UnicodeError, tomllib.TOMLDecodeError) as error:
         raise FlowerError(f"runtime.connection={name}: {path} cannot be read: {error}.") from error
     connections = {key: value for key, value in known.items() if isinstance(value, dict)}
     if name not in connections:

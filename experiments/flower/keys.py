@@ -151,7 +151,7 @@ def add_nodes(folder: Path, nodes: int) -> list[NodeKeys]:
     """
     _check_number(nodes, "--add")
     try:
-        authority = (folder / "ca.crt").read_text()
+        authority = (folder / "ca.crt").read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise KeysError(f"{folder} holds no fleet's keys: make them with --nodes.") from None
     first = max(_numbers(folder), default=-1) + 1
@@ -206,5 +206,7 @@ def _fill_node(folder: Path, authority_pem: str) -> None:
 def _write(path: Path, text: str, *, private: bool = False) -> None:
     """Write a new file; a private one is never readable by others, not even for a moment."""
     mode = 0o600 if private else 0o644
-    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w") as file:
+    with open(
+        os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w", encoding="utf-8"
+    ) as file:
         file.write(text)

@@ -86,7 +86,9 @@ def _report(
     files.append(manifest.write(out, target.name, cells, runs, files, call | spent))
     for path in files:
         if path.suffix == ".md":
-            console.print(path.read_text(), markup=False, highlight=False, soft_wrap=True)
+            console.print(
+                path.read_text(encoding="utf-8-sig"), markup=False, highlight=False, soft_wrap=True
+            )
     for path in files:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
 

@@ -88,7 +88,11 @@ def export(source: Path, results: Path, others: Mapping[str, Path]) -> list[Path
 def _manifests(source: Path) -> dict[str, Manifest]:
     """The manifest of each target that is there."""
     found = {name: source / f"{name}.manifest.json" for name in TARGETS}
-    there = {name: json.loads(path.read_text()) for name, path in found.items() if path.is_file()}
+    there = {
+        name: json.loads(path.read_text(encoding="utf-8-sig"))
+        for name, path in found.items()
+        if path.is_file()
+    }
     if not there:
         raise ConfigError(f"{source}: no manifest of a target is there.")
     return there

@@ -151,7 +151,7 @@ def _setting(row: Row) -> tuple[str, ...]:
 def _read(file: Path) -> list[Row]:
     if not file.exists():
         return []
-    with file.open(newline="") as text:
+    with file.open(encoding="utf-8-sig", newline="") as text:
         return list(csv.DictReader(text))
 
 

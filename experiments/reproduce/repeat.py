@@ -80,7 +80,7 @@ def write(folder: Path, rows: Sequence[Row]) -> Path:
 def read(folder: Path) -> list[Kept]:
     """What the file of a folder keeps, a run each."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
-    with (folder / FILE).open(newline="") as file:
+    with (folder / FILE).open(encoding="utf-8-sig", newline="") as file:
         for row in csv.DictReader(file):
             groups.setdefault(tuple(row[name] for name in COLUMNS[:5]), []).append(row)
     return [

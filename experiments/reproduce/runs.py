@@ -32,7 +32,9 @@ class Run:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """What ``summary.json`` holds."""
-        found: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
+        found: dict[str, Any] = json.loads(
+            (self.folder / "summary.json").read_text(encoding="utf-8-sig")
+        )
         return found
 
     @cached_property
@@ -72,7 +74,7 @@ Runs = Mapping[str, Mapping[int, Run]]
 
 def _columns(path: Path, first: int = 0, step: int = 1) -> Columns:
     """The columns of a CSV file of numbers, of the rows ``first::step``; empty is nan."""
-    with path.open(newline="") as file:
+    with path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.DictReader(file)
         names, rows = reader.fieldnames or (), list(reader)[first::step]
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

@@ -1,12 +1,14 @@
 """The YAML groups say what the dataclasses say, key by key."""
 
 import dataclasses
+import shutil
+import sys
 
 import pytest
 from omegaconf import OmegaConf
 
 from agent.config import AgentConfig
-from conf import Config, StrategyConfig, flower_clients, windows_per_round
+from conf import Config, ConfigError, StrategyConfig, compose, flower_clients, windows_per_round
 from conf.compose import FOLDER
 from env import floor_plans
 from env.config import EnvConfig
@@ -76,3 +78,33 @@ def test_clients_and_windows_that_are_given_count():
     assert flower_clients(config) == 2
     assert windows_per_round(config) == 1
     assert windows_per_round(Config()) == 100
+
+
+OWN = "# @package _global_\nenv:\n  robots: 2\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (OWN.encode(), None),
+        (OWN.replace("\n", "\r\n").encode(), None),
+        (
+            OWN.encode("utf-8-sig"),
+            "it begins with a byte order mark, which Hydra does not read: save it as UTF-8 without"
+            " one",
+        ),
+        (OWN.encode("utf-16"), "it is in UTF-16: save it as UTF-8"),
+    ],
+    ids=["plain", "crlf", "mark", "utf-16"],
+)
+def test_a_groups_file_of_ones_own_is_read_or_named(monkeypatch, tmp_path, content, said):
+    folder = shutil.copytree(FOLDER, tmp_path / "conf")
+    path = folder / "experiment" / "mine.yaml"
+    path.write_bytes(content)
+    monkeypatch.setattr(sys.modules["conf.compose"], "FOLDER", folder)
+    if said is None:
+        assert compose(["experiment=mine"]).env.robots == 2
+    else:
+        with pytest.raises(ConfigError) as caught:
+            compose(["experiment=mine"])
+        assert str(caught.value) == f"experiment=mine: {path} cannot be read: {said}."

@@ -246,10 +246,27 @@ def test_a_plan_that_does_not_exist_is_named_with_those_that_do(own, name):
     assert str(caught.value) == f"env.plan={name}: {allowed}"
 
 
-def test_a_plan_that_is_no_text_is_refused(own):
-    own.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="allowed is a TOML file"):
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_a_plan_may_come_from_any_editor(own, encoding, end):
+    plain = compose(["env.plan=plans/mine.toml"]).env
+    own.write_bytes(f"# Größe{OWN}".replace("\n", end).encode(encoding))
+    assert compose(["env.plan=plans/mine.toml"]).env == plain
+    assert checked_config({"plan": "plans/mine.toml"}) == plain
+
+
+@pytest.mark.parametrize(
+    ("encoding", "said"),
+    [
+        ("utf-16", "it is in UTF-16: save it as UTF-8"),
+        ("latin-1", "line 1 holds the byte 0xf6, which is not UTF-8: save it as UTF-8"),
+    ],
+)
+def test_a_plan_in_another_encoding_is_refused_with_what_to_do(own, encoding, said):
+    own.write_bytes(f"# Größe{OWN}".encode(encoding))
+    with pytest.raises(ConfigError) as caught:
         compose(["env.plan=plans/mine.toml"])
+    assert str(caught.value) == f"env.plan=plans/mine.toml: allowed is a TOML file ({said})."
 
 
 def test_a_plan_that_is_no_word_is_refused():

@@ -18,7 +18,6 @@ from env.parallel_env import parallel_env
 
 WORLDS = 3
 SLOTS = 6
-SHORT = {"max_slots": SLOTS}
 GRID: dict[str, dict[str, Any]] = {
     "noma": {"access": "noma"},
     "oma": {"access": "oma"},
@@ -49,6 +48,12 @@ GRID: dict[str, dict[str, Any]] = {
 each_world = pytest.mark.parametrize("config", GRID.values(), ids=GRID)
 
 
+def short(config: dict[str, Any]) -> dict[str, Any]:
+    """The same with episodes of a few slots, and with starts near enough to arrive in them."""
+    tasks = {**config.get("tasks", {}), "start_distance_m": 1.0}
+    return {**config, "motion": {"max_slots": SLOTS}, "tasks": tasks}
+
+
 @pytest.fixture(autouse=True)
 def _warnings_are_errors() -> Iterator[None]:
     with warnings.catch_warnings():
@@ -61,16 +66,14 @@ def vectorised(config: dict[str, Any], mode: str = "sync") -> gymnasium.vector.V
         env.SINGLE_ROBOT,
         num_envs=WORLDS,
         vectorization_mode=mode,
-        config={**config, "motion": SHORT},
+        config=short(config),
     )
 
 
 def agrees_with_single_envs(config: dict[str, Any], mode: str) -> None:
     """Through two ends of time and the resets after them; arrivals are tested by themselves."""
     many = vectorised(config, mode)
-    alone = [
-        gymnasium.make(env.SINGLE_ROBOT, config={**config, "motion": SHORT}) for _ in range(WORLDS)
-    ]
+    alone = [gymnasium.make(env.SINGLE_ROBOT, config=short(config)) for _ in range(WORLDS)]
     random = np.random.default_rng(3)
     seen, infos = many.reset(seed=11)
     for i, single in enumerate(alone):
@@ -95,15 +98,15 @@ def agrees_with_single_envs(config: dict[str, Any], mode: str) -> None:
 
 @each_world
 def test_the_views_keep_the_libraries_rules(config: dict[str, Any]) -> None:
-    short = {**config, "motion": SHORT}
-    check_env(gymnasium.make(env.SINGLE_ROBOT, config=short).unwrapped, skip_render_check=True)
-    parallel_api_test(parallel_env(config=short), num_cycles=3 * SLOTS)
-    parallel_seed_test(lambda: parallel_env(config=short), num_cycles=SLOTS)
+    config = short(config)
+    check_env(gymnasium.make(env.SINGLE_ROBOT, config=config).unwrapped, skip_render_check=True)
+    parallel_api_test(parallel_env(config=config), num_cycles=3 * SLOTS)
+    parallel_seed_test(lambda: parallel_env(config=config), num_cycles=SLOTS)
 
 
 @each_world
 def test_a_pickled_fleet_goes_on_alike_and_draws_the_same(config: dict[str, Any]) -> None:
-    view = parallel_env(config={**config, "motion": SHORT}, render_mode="rgb_array")
+    view = parallel_env(config=short(config), render_mode="rgb_array")
     view.reset(seed=1)
     twin = pickle.loads(pickle.dumps(view))
     moves = {agent: view.action_space(agent).sample() for agent in view.agents}

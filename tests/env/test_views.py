@@ -164,7 +164,8 @@ def test_robots_leave_on_arrival_and_the_access_point_with_the_last() -> None:
 
 
 def test_time_runs_out_for_all_that_are_left() -> None:
-    view = parallel_env(config={"robots": 2, "motion": {"max_slots": 2}})
+    tasks = {"start_distance_m": 1.0}
+    view = parallel_env(config={"robots": 2, "motion": {"max_slots": 2}, "tasks": tasks})
     view.reset(options={"starts_m": [beside(view, 2)[0], beside(view, 3)[1]]})
     moves = {"robot_0": EAST, "robot_1": EAST, AP: 0}
     view.step(moves)
@@ -292,7 +293,8 @@ def test_other_robots_arrive_on_time_and_end_nothing() -> None:
 
 
 def test_the_single_robot_is_truncated_at_the_time_limit() -> None:
-    view = single(config={"robots": 1, "motion": {"max_slots": 3}})
+    tasks = {"start_distance_m": 1.0}
+    view = single(config={"robots": 1, "motion": {"max_slots": 3}, "tasks": tasks})
     view.reset(seed=0)
     ends = [view.step(np.int64(0))[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
@@ -353,6 +355,69 @@ def test_nested_fields_may_be_tuples_or_dataclasses() -> None:
     config = env.checked_config({"ris": RisConfig(side=0), "ap": {"position_m": position}})
     assert config.ris.side == 0
     assert config.ap.position_m == list(position)
+
+
+def test_infos_have_the_same_keys_and_kinds_at_a_reset_as_at_a_step() -> None:
+    view = parallel_env(config={"robots": 3})
+    _, first = view.reset(seed=0)
+    *_, after = view.step(sampled(view))
+    kinds = [{n: {k: type(v) for k, v in i.items()} for n, i in x.items()} for x in (first, after)]
+    assert kinds[0] == kinds[1]
+    alone = single(config={"robots": 3})
+    _, first = alone.reset(seed=0)
+    *_, after = alone.step(np.int64(0))
+    assert {k: type(v) for k, v in first.items()} == {k: type(v) for k, v in after.items()}
+
+
+def test_infos_of_a_reset_say_that_nothing_has_been_sent_and_how_long_the_way_is() -> None:
+    view = parallel_env(config={"robots": 2, "ris": {"side": 0}})
+    _, infos = view.reset(options={"starts_m": [beside(view, 3)[0], beside(view, 5)[1]]})
+    assert [infos[name]["shortest_slots"] for name in view.robots] == [3, 5]
+    sent = [infos[name][key] for name in view.robots for key in ("rate", "power_w", "arrived")]
+    assert sent == [0.0, 0.0, False] * 2
+    assert infos[AP] == {"sum_rate": 0.0, "projected": False, "margin_dropped": False}
+    *_, after = view.step({"robot_0": EAST, "robot_1": EAST, AP: 0})
+    assert [after[name]["shortest_slots"] for name in view.robots] == [2, 4]
+    for name in view.robots:  # without an RIS the channel of the first slot is the direct one
+        assert after[name]["gain_db"] == pytest.approx(infos[name]["gain_db"])
+    alone = single(config={"robots": 2})
+    _, info = alone.reset(seed=0)
+    assert (info["phase"], info["sum_rate"]) == (-1, 0.0)
+
+
+@pytest.mark.parametrize("view", [parallel_env, single], ids=["parallel", "single"])
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"start_m": [[1.0, 1.0]]}, "options.start_m=[[1.0, 1.0]]: allowed is the option starts_m"),
+        ({"starts_m": [[1.0, 1.0]], "seed": 3}, "options.seed=3: allowed is the option starts_m"),
+        ({3: 4}, "options.3=4: allowed is the option starts_m alone"),
+        ({"starts_m": [[1.0], [1.0, 2.0]]}, "options.starts_m=[[1.0], [1.0, 2.0]]: allowed is 1 "),
+        ({"starts_m": "here"}, "options.starts_m='here': allowed is 1 positions [x, y] in m"),
+        ("starts_m", "options='starts_m': allowed is a mapping with starts_m"),
+    ],
+)
+def test_an_unknown_option_of_a_reset_is_named(view: Any, options: Any, said: str) -> None:
+    made = view(config={"robots": 1})
+    made.reset(seed=0)
+    with pytest.raises(ValueError, match=r"^options") as caught:
+        made.reset(options=options)
+    assert str(caught.value).startswith(said)
+    assert "\n" not in str(caught.value)
+    for fine in (None, {}, {"starts_m": None}, {"starts_m": [[1.0, 1.0]]}):
+        made.reset(options=fine)
+
+
+def test_an_option_that_is_refused_leaves_the_episode_and_the_starts_to_come() -> None:
+    view, twin = parallel_env(config={"robots": 2}), parallel_env(config={"robots": 2})
+    for one in (view, twin):
+        one.reset(seed=5)
+    with pytest.raises(ValueError, match=r"options\.start_m"):
+        view.reset(seed=9, options={"start_m": []})
+    np.testing.assert_array_equal(view.world.cell, twin.world.cell)
+    view.reset()
+    twin.reset()
+    np.testing.assert_array_equal(view.world.cell, twin.world.cell)
 
 
 def test_wrong_calls_are_named() -> None:

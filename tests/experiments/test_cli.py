@@ -14,6 +14,7 @@ import pytest
 
 from conf import compose, from_yaml
 from experiments.cli import main
+from experiments.evaluate import read_config
 from server_app.history import MEASURES
 
 Refused = Callable[..., str]
@@ -230,6 +231,21 @@ def test_evaluate_refuses_a_damaged_configuration(
 def test_evaluate_refuses_a_configuration_that_is_no_text(refused: Refused, copied: Path) -> None:
     (copied / "config.yaml").write_bytes(b"\xff\xfe\xfa")
     assert_one_sentence(refused("evaluate", str(copied)))
+
+
+def test_evaluate_reads_a_configuration_that_another_editor_saved(copied: Path) -> None:
+    config = read_config(copied)
+    text = (copied / "config.yaml").read_text(encoding="utf-8")
+    (copied / "config.yaml").write_bytes(text.replace("\n", "\r\n").encode("utf-8-sig"))
+    assert read_config(copied) == config
+
+
+def test_evaluate_says_that_a_configuration_is_in_utf_16(refused: Refused, copied: Path) -> None:
+    text = (copied / "config.yaml").read_text(encoding="utf-8")
+    (copied / "config.yaml").write_text(text, encoding="utf-16")
+    said = refused("evaluate", str(copied))
+    assert_one_sentence(said)
+    assert "config.yaml cannot be read: it is in UTF-16: save it as UTF-8." in said
 
 
 def test_evaluate_refuses_missing_weights(refused: Refused, copied: Path) -> None:

@@ -217,6 +217,22 @@ def test_an_unknown_connection_names_those_that_there_are(home: Path) -> None:
         Connection("far")
 
 
+@pytest.mark.parametrize(
+    ("encoding", "said"),
+    [
+        ("utf-8-sig", "it begins with a byte order mark, which Flower does not read"),
+        ("utf-16", "it is in UTF-16: save it as UTF-8"),
+    ],
+)
+def test_a_file_of_flowers_that_it_cannot_read_is_named(
+    home: Path, encoding: str, said: str
+) -> None:
+    path = home / "config.toml"
+    path.write_text(path.read_text(encoding="utf-8"), encoding=encoding)
+    with pytest.raises(FlowerError, match=f"config.toml cannot be read: {said}"):
+        Connection("near")
+
+
 # --- Starting again -------------------------------------------------------------------------------
 
 

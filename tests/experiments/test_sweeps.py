@@ -40,7 +40,7 @@ def test_a_sweep_gives_what_single_runs_give(tmp_path: Path) -> None:
 
 
 def test_a_sweep_over_floor_plans_gives_what_single_runs_give(tmp_path: Path) -> None:
-    small = [*SMALL, "env.room.cell_m=1"]
+    small = [*SMALL, "env.room.cell_m=1", "env.tasks.start_distance_m=5"]
     assert main(["train", "-m", *small, "env.plan=default,corridor", "run.dir=sweep"]) == 0
     assert main(["train", *small, "env.plan=corridor", "run.dir=single"]) == 0
     found = [from_yaml((tmp_path / "sweep" / str(n) / "config.yaml").read_text()) for n in (0, 1)]

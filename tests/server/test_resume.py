@@ -230,6 +230,25 @@ def test_files_that_lack_rows_are_refused_before_anything_is_written(train, caps
     assert (folder / "config.yaml").read_text() == before
 
 
+def test_files_that_an_editor_saved_in_its_own_way_go_on_to_the_same_bits(train) -> None:
+    whole, folder = train("whole"), train("edited", "train.max_ticks=60")
+    for name in ("config.yaml", "metrics.csv", "evaluations.csv", "summary.json"):
+        text = (folder / name).read_text(encoding="utf-8")
+        (folder / name).write_text(text, encoding="utf-8-sig", newline="\r\n")
+    assert main(["train", f"resume={folder}", "train.max_ticks=120"]) == 0
+    assert summary(folder)["digest"] == summary(whole)["digest"]
+    assert rows(folder / "metrics.csv") == rows(whole / "metrics.csv")
+
+
+def test_a_configuration_in_utf_16_is_named(train, capsys) -> None:
+    folder = train("ended")
+    path = folder / "config.yaml"
+    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-16")
+    assert main(["train", f"resume={folder}", "train.max_ticks=500"]) == 2
+    said = "config.yaml cannot be read: it is in UTF-16: save it as UTF-8.\n"
+    assert capsys.readouterr().err.endswith(said)
+
+
 def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
     folder = train("ended")
     handle = os.open(folder, os.O_RDONLY)

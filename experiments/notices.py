@@ -1,0 +1,65 @@
+"""What a run says before it starts: nothing is wrong, but it may not be what was meant."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from conf import Config
+from env import lateness, mounting
+from env.config import EnvConfig
+from env.destinations import draw_destinations
+from env.floor import Floor
+from env.seeding import Stream, stream
+
+
+def show(config: Config, console: Console) -> None:
+    """Prints each notice on a line of its own."""
+    for line in notices(config):
+        console.print(f"note: {line}", highlight=False, markup=False, soft_wrap=True)
+
+
+def notices(config: Config) -> list[str]:
+    """What is worth a look in a checked configuration, a sentence each; most have nothing."""
+    destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
+    return [*_late(config.env, destinations), *_unseen(config.env), *_outside(config.env)]
+
+
+def _late(config: EnvConfig, destinations: NDArray[np.int64]) -> list[str]:
+    """The starts from which no robot can arrive."""
+    share = lateness.late_share(config, destinations)
+    if not share:
+        return []
+    shown = "under 1" if share < 0.01 else f"{100 * share:.0f}"
+    say = (
+        "of the starts are more slots away from their destination, and no robot arrives from there"
+    )
+    return [f"{lateness.KEY}={config.motion.max_slots}: {shown} % {say}."]
+
+
+def _unseen(config: EnvConfig) -> list[str]:
+    """An AP or an RIS behind walls from everything."""
+    floor = Floor.from_config(config)
+    reached = floor.centres()[floor.drivable()]
+    ap, ris, found = config.ap.position_m, config.ris.position_m, []
+    devices = [("env.ap", "the AP", ap), ("env.ris", "the RIS", ris)][: 2 if config.ris.side else 1]
+    for key, name, position in devices:
+        if not mounting.sees(floor, position, reached).any():
+            say = f"no cell that robots reach is in {name}'s line of sight"
+            found.append(f"{key}.position_m={position}: {say}.")
+    if len(devices) == 2 and not mounting.see_each_other(floor, ris, ap).all():
+        found.append(f"env.ris.position_m={ris}: the AP is not in the RIS's line of sight.")
+    return found
+
+
+def _outside(config: EnvConfig) -> list[str]:
+    """Walls beyond the room, which do nothing."""
+    size_m = np.array([config.room.width_m, config.room.depth_m])
+    ends = Floor.from_config(config).walls.reshape(-1, 2, 2)
+    beyond = ((ends < 0).all(axis=1) | (ends > size_m).all(axis=1)).any(axis=-1)
+    if not beyond.any():
+        return []
+    room = f"the room of {size_m[0]:g} m x {size_m[1]:g} m"
+    number = f"{beyond.sum()} of {len(ends)}"
+    return [f"env.walls.segments: {number} lie outside of {room} and do nothing."]
