@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import version
 
 from env.plugins import PluginError
+from experiments.mishaps import in_words
+from experiments.steady import steady_output
 
 USAGE = """\
 usage: risfleet COMMAND ...
@@ -52,6 +54,7 @@ _USAGES = {"train": TRAIN_USAGE, "status": STATUS_USAGE}
 """Of the commands that do not print their own."""
 
 
+@steady_output()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command.
 
@@ -85,6 +88,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PluginError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        print(f"risfleet: {in_words(error)}", file=sys.stderr)
+        return 1
 
 
 def _train(arguments: Sequence[str]) -> int:

@@ -14,6 +14,7 @@ from rich.console import Console
 from conf import Config
 from experiments.display import read_progress
 from experiments.folders import held
+from experiments.mishaps import in_words
 from experiments.reproduce.jobs import Job, State, dealt, folder_of, missing, state_of
 from experiments.reproduce.launch import build_launcher
 from experiments.reproduce.plan import Cell, configs
@@ -154,7 +155,7 @@ def _launch(
         try:
             launcher.launch(combinations, initial_job_idx=0)
         except Exception as error:  # a launcher's own: its processes were killed, its cluster left
-            console.print(f"risfleet: {type(error).__name__}: {error}".splitlines()[0])
+            console.print(f"risfleet: {type(error).__name__}: {in_words(error)}".splitlines()[0])
 
 
 def alone(store: Path) -> AbstractContextManager[None]:
