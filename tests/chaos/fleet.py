@@ -22,8 +22,8 @@ from chaos.attempt import ROOT
 from chaos.crowd import MARK, Crowd
 from chaos.hosts import ADDRESSES, Side, TwoHosts
 from experiments.flower.environment import flower_command
-from experiments.flower.variables import chosen
 from experiments.flower.processes import command
+from experiments.flower.variables import chosen
 
 HUB: Side = 0
 FAR: Side = 1
