@@ -73,9 +73,8 @@ class Interrupts:
         self._console.print("Stopping at the next aggregations; Ctrl-C again stops at once.")
 
     def _tell(self) -> None:
-        self._all.touch()
-        for folder in self._folders:
-            with suppress(FileNotFoundError):
+        for folder in (self._all.parent, *self._folders):
+            with suppress(OSError):  # it is not there yet, or its disk takes nothing
                 (folder / STOP_FILE).touch()
 
     def _forget(self) -> None:

@@ -78,7 +78,7 @@ def _ending_with(owner: int, folders: Sequence[Path]) -> Iterator[None]:
         while not ended.wait(LOOK_S):
             if os.getppid() != owner:
                 for folder in (folders[0].parent.parent, *folders):
-                    with suppress(FileNotFoundError):
+                    with suppress(OSError):  # this process must end in any case
                         (folder / STOP_FILE).touch()
                 ended.wait()
                 os._exit(1)  # else the launcher's process would wait for work for minutes

@@ -111,6 +111,12 @@ def test_a_variable_that_nobody_has_thought_of_is_left_out(monkeypatch: pytest.M
     assert "SOMETHING_NEW" not in variables.chosen()
 
 
+def test_what_is_passed_on_is_documented() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "deployment.md").read_text()
+    missing = [name for name in (*variables.CHOSEN, variables.PASS) if f"`{name}`" not in page]
+    assert missing == []
+
+
 def test_a_user_names_further_variables_but_no_proxy(desktop: None) -> None:
     named = {variables.PASS: " RAYTRACES ,RAY_memory_*,all_proxy", "RAYTRACES": "/data"}
     found = variables.chosen({**os.environ, **named, "RAY_memory_monitor_refresh_ms": "0"})
