@@ -14,7 +14,6 @@ from pathlib import Path
 from shlex import join
 
 from experiments.flower.keys import FleetKeys, KeysError, NodeKeys, add_nodes, make_keys
-from experiments.mishaps import in_words
 
 PORT = 8000
 """The SuperLink's default."""
@@ -41,7 +40,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"risfleet: {folder} cannot be written: {in_words(error)}.", file=sys.stderr)
+        print(f"risfleet: {folder} cannot be written: {error.strerror or error}.", file=sys.stderr)
         return 2
     return 0
 

@@ -173,7 +173,7 @@ class Recorder:
             self._is_shown = True
         except OSError as error:
             if self._is_shown:
-                log.warning("progress.json is not written: %s", error)
+                log.warning("progress.json is not written: %s", error.strerror or error)
             self._is_shown = False
 
     def close(self) -> None:
@@ -216,4 +216,5 @@ def _event_writer(folder: Path, first: int) -> Any:
 
 
 def _warn_of_events(error: Exception) -> None:
-    log.warning("no events for TensorBoard from here on: %s: %s", type(error).__name__, error)
+    why = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+    log.warning("no events for TensorBoard from here on: %s", why)

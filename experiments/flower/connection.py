@@ -14,7 +14,6 @@ from experiments.flower.control import Status
 from experiments.flower.environment import FlowerError, tail, user_environment
 from experiments.flower.manifest import Components
 from experiments.flower.session import Session
-from experiments.mishaps import in_words
 from server_app.preflight import is_loopback
 
 
@@ -100,7 +99,7 @@ def _check(name: str) -> None:
     try:
         known = tomllib.loads(path.read_text(encoding="utf-8")).get("superlink", {})
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        reason = f"{path} cannot be read: {in_words(error)}"
+        reason = f"{path} cannot be read: {getattr(error, 'strerror', None) or error}"
         raise FlowerError(f"runtime.connection={name}: {reason}.") from error
     connections = {key: value for key, value in known.items() if isinstance(value, dict)}
     if name not in connections:
