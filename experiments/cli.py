@@ -8,6 +8,9 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
+from experiments.mishaps import in_words
+from experiments.steady import steady_output
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("agent", "client_app", "conf", "env", "server_app")
 
@@ -54,6 +57,7 @@ _USAGES = {"train": TRAIN_USAGE, "status": STATUS_USAGE}
 """Of the commands that do not print their own."""
 
 
+@steady_output()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command.
 
@@ -93,6 +97,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PluginError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        print(f"risfleet: {in_words(error)}", file=sys.stderr)
+        return 1
 
 
 def _hidden_package() -> str:

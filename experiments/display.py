@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -15,6 +16,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from experiments.mishaps import in_words
 from server_app.history import MEASURES
 
 POLL_S = 0.5
@@ -118,23 +120,39 @@ def _duration(seconds: float) -> str:
 class Showing(ABC):
     """Shows something from a thread of its own, until the block that it is entered for ends.
 
+    What goes wrong with it is said in a line, and the block goes on without.
+
     Args:
         name: the thread's.
     """
 
     def __init__(self, name: str) -> None:
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread = threading.Thread(target=self._show, name=name, daemon=True)
 
     def __enter__(self) -> Self:
         """Begins to show."""
-        self._thread.start()
+        try:
+            self._thread.start()
+        except RuntimeError as error:  # this machine has no thread left
+            self._give_up(error)
         return self
 
     def __exit__(self, *error: object) -> None:
         """Shows the last state and ends."""
         self._ended.set()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _show(self) -> None:
+        try:
+            self._run()
+        except Exception as error:
+            self._give_up(error)
+
+    def _give_up(self, error: Exception) -> None:
+        why = f"{type(error).__name__}: {in_words(error)}"
+        print(f"risfleet: no progress is shown from here on ({why})", file=sys.stderr)
 
     @abstractmethod
     def _run(self) -> None:

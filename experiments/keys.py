@@ -41,7 +41,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"risfleet: {folder} cannot be written: {error}.", file=sys.stderr)
+        print(f"risfleet: {folder} cannot be written: {error.strerror or error}.", file=sys.stderr)
         return 2
     return 0
 

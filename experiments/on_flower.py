@@ -6,6 +6,7 @@ import dataclasses
 import json
 import shlex
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -22,6 +23,7 @@ from experiments.flower import (
     RunState,
     SimulationSuperLink,
     Status,
+    UnansweredError,
 )
 from server_app.checkpoint import Checkpoint, latest
 from server_app.files import report_failure, report_state, to_json, write_atomically
@@ -84,10 +86,10 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     path = folder / "summary.json"
     if not path.exists():
         return {}
-    summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8-sig")) | {
-        "restarts": restarts
-    }
-    write_atomically(path, to_json(summary))
+    summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8-sig"))
+    summary |= {"restarts": restarts}
+    with suppress(OSError):  # the ServerApp has written all else
+        write_atomically(path, to_json(summary))
     return summary
 
 
@@ -119,8 +121,10 @@ def _persevere(config: Config, folder: Path, resumed: Checkpoint | None) -> list
                 raise
             sentence = str(error).splitlines()[0].removesuffix(".")
             restarts.append(f"{sentence}. Starting again from window {window}.")
-            (folder / "progress.json").unlink(missing_ok=True)
-            report_state(folder, "waiting", restarts[-1])
+            with suppress(OSError):
+                (folder / "progress.json").unlink(missing_ok=True)
+            with suppress(OSError):
+                report_state(folder, "waiting", restarts[-1])
 
 
 def _last(config: Config, folder: Path) -> Checkpoint | None:
@@ -137,10 +141,30 @@ def _run(config: Config, folder: Path, resumes: bool) -> None:
     what = f"resume={folder}" if resumes else to_yaml(config)
     with _runner(config, folder) as runner:
         run_id = runner.submit(shlex.quote(what))
-        while not (status := runner.status(run_id)).finished:
-            time.sleep(getattr(runner, "poll_s", POLL_S))
+        status = _awaited(runner, run_id, config.runtime.start_timeout_s)
         if status.state is not RunState.COMPLETED:
             raise _failure(folder, status, runner.log_tail(run_id))
+
+
+def _awaited(runner: Runner, run_id: int, patience_s: float) -> Status:
+    """How a run ended. That nobody says how it goes is no end of it, for some time.
+
+    Raises:
+        UnansweredError: there was no answer for ``patience_s``.
+        FlowerError: see ``Runner.status``.
+    """
+    heard = time.monotonic()
+    while True:
+        try:
+            status = runner.status(run_id)
+        except UnansweredError:
+            if time.monotonic() - heard > patience_s:
+                raise
+        else:
+            heard = time.monotonic()
+            if status.finished:
+                return status
+        time.sleep(getattr(runner, "poll_s", POLL_S))
 
 
 def _runner(config: Config, folder: Path) -> Runner:

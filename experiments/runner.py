@@ -19,6 +19,7 @@ from experiments import local, notices, on_flower
 from experiments.display import Display, show_summary
 from experiments.flower import FlowerError
 from experiments.folders import alone, clear, placed
+from experiments.mishaps import in_words
 from experiments.stopping import StopSignals
 from server_app import resume
 from server_app.checkpoint import Checkpoint
@@ -41,7 +42,9 @@ def say(error: Exception) -> int:
 
     How to go on is said, too, where it is known.
     """
-    print(f"risfleet: {error}", *getattr(error, "__notes__", []), sep="\n", file=sys.stderr)
+    print(
+        f"risfleet: {in_words(error)}", *getattr(error, "__notes__", []), sep="\n", file=sys.stderr
+    )
     return 2 if isinstance(error, ConfigError | PluginError) else 1
 
 

@@ -68,7 +68,7 @@ class StopSignals:
 
     def _tell(self) -> None:
         for file in self._files:
-            with suppress(FileNotFoundError):  # a run that has not begun has no folder
+            with suppress(OSError):  # the run has not begun, or its disk takes nothing
                 file.touch()
 
     def _forget(self) -> None:

@@ -29,12 +29,17 @@ def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
         durable: whether it must outlast a crash of the machine.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with naming(path), temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(text)
-        file.flush()
-        if durable:
-            os.fsync(file.fileno())
-    temporary.replace(path)
+    try:
+        with naming(path), temporary.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError:
+        with suppress(OSError):  # what was half written would keep a full disk full
+            temporary.unlink(missing_ok=True)
+        raise
 
 
 def report_failure(folder: Path, error: BaseException) -> None:
@@ -50,9 +55,9 @@ def report_state(folder: Path, state: str, message: str) -> None:
         OSError: the file cannot be written.
     """
     path = folder / "progress.json"
-    status: dict[str, Any] = (
-        json.loads(path.read_text(encoding="utf-8-sig")) if path.exists() else {}
-    )
+    status: dict[str, Any] = {}
+    with suppress(OSError, ValueError, TypeError):  # not yet there, or damaged
+        status |= json.loads(path.read_text(encoding="utf-8-sig"))
     if status.get("state") == "failed":
         return
     status |= {"state": state, "message": message, "written_at": time.time()}

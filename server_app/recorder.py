@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -21,9 +22,14 @@ from server_app.progress import Progress
 
 PROGRESS_PERIOD_S = 0.5
 
+log = logging.getLogger(__name__)
+
 
 class Recorder:
     """Watches a run, implements ``progress.Observer``.
+
+    What the run is to leave behind must be written. ``progress.json`` and the events of TensorBoard
+    only show it to whoever watches: where they fail, that is said once, and the run goes on.
 
     Args:
         config: the run's configuration.
@@ -57,6 +63,7 @@ class Recorder:
         self.checkpoint: int | None = None
         self.round: int | None = None
         self.running = False
+        self._is_shown = True
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / "config.yaml", to_yaml(config))
         marks = resumed or {"episodes": 0, "evaluations": 0, "training_s": 0.0, "evaluation_s": 0.0}
@@ -136,7 +143,7 @@ class Recorder:
         return self._ended - self.started
 
     def report(self, state: str, progress: Progress, message: str = "") -> None:
-        """Writes ``progress.json`` for whoever watches from outside."""
+        """Writes ``progress.json`` for whoever watches from outside, as far as that can be done."""
         self._written = time.perf_counter()
         recent = self.history.episodes[-10:]
         status: dict[str, Any] = {
@@ -161,25 +168,53 @@ class Recorder:
             "round": self.round,
             "clients": self.clients(),
         }
-        write_atomically(self.folder / "progress.json", json.dumps(status), durable=False)
+        try:
+            write_atomically(self.folder / "progress.json", json.dumps(status), durable=False)
+            self._is_shown = True
+        except OSError as error:
+            if self._is_shown:
+                log.warning("progress.json is not written: %s", error.strerror or error)
+            self._is_shown = False
 
     def close(self) -> None:
         """Flushes and closes what is open; safe to call again."""
         self._metrics.close()
         self._evaluations.close()
         if self._events is not None:
-            self._events.close()
+            try:
+                self._events.close()
+            except Exception as error:
+                self._give_up_events(error)
 
     def _log_events(self, group: str, row: dict[str, float], tick: int) -> None:
         if self._events is None:
             return
-        for name, value in row.items():
-            if name not in ("episode", "tick") and np.isfinite(value):
-                self._events.add_scalar(f"{group}/{name}", value, tick)
+        try:
+            for name, value in row.items():
+                if name not in ("episode", "tick") and np.isfinite(value):
+                    self._events.add_scalar(f"{group}/{name}", value, tick)
+        except Exception as error:
+            self._give_up_events(error)
+
+    def _give_up_events(self, error: Exception) -> None:
+        self._events = None
+        _warn_of_events(error)
 
 
 def _event_writer(folder: Path, first: int) -> Any:
-    """Writes events; those of an earlier attempt from the tick ``first`` on no longer count."""
-    from torch.utils.tensorboard import SummaryWriter  # slow to import: only where it is wanted
+    """Writes events; those of an earlier attempt from the tick ``first`` on no longer count.
 
-    return SummaryWriter(str(folder / "tensorboard"), purge_step=first or None)
+    None where that cannot be done.
+    """
+    try:
+        from torch.utils.tensorboard import SummaryWriter  # slow: only where it is wanted
+
+        return SummaryWriter(str(folder / "tensorboard"), purge_step=first or None)
+    except Exception as error:
+        _warn_of_events(error)
+        return None
+
+
+def _warn_of_events(error: Exception) -> None:
+    why = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+    log.warning("no events for TensorBoard from here on: %s", why)

@@ -16,6 +16,7 @@ from experiments.batch.states import State, cost_s, folder_of, state_of
 from experiments.batch.watch import Watch
 from experiments.batch.worker import Work
 from experiments.display import read_progress
+from experiments.mishaps import in_words
 from experiments.stopping import ShieldedSignals
 from server_app.session import STOP_FILE
 
@@ -139,4 +140,4 @@ def _launch(
         try:
             launcher.launch([[f"seed={each.seed}"] for each in missing], initial_job_idx=0)
         except Exception as error:  # a launcher's own: its processes were killed, its cluster left
-            console.print(f"risfleet: {type(error).__name__}: {error}".splitlines()[0])
+            console.print(f"risfleet: {type(error).__name__}: {in_words(error)}".splitlines()[0])

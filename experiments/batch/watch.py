@@ -44,6 +44,13 @@ class Watch(Showing):
         self._before_s = self._worked_s(self._read())
 
     def _run(self) -> None:
+        try:
+            self._draw()
+        finally:  # nobody else takes a signal
+            while not self._ended.wait(POLL_S):
+                self._signals.look()
+
+    def _draw(self) -> None:
         columns = (BarColumn(40), TextColumn("{task.description}"), TimeElapsedColumn())
         terminal = self._console.is_terminal
         with Progress(*columns, console=self._console, transient=True, disable=not terminal) as bar:

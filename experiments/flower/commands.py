@@ -7,11 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from experiments.flower.control import ControlError, Status, parse_status
-from experiments.flower.environment import CONNECTION, FlowerError, flower_command, tail
+from experiments.flower.environment import (
+    CONNECTION,
+    FlowerError,
+    UnansweredError,
+    flower_command,
+    tail,
+)
 from experiments.flower.manifest import Components, write_manifest, write_run_config
 from experiments.flower.session import Session
+from experiments.flower.variables import proxies
 
 _TIMEOUT_S = 60.0
+_SOCKS = "socksio"
 
 
 def submit_run(
@@ -91,11 +99,17 @@ def run_status(session: Session, run_id: int, connection: str = CONNECTION) -> S
         The state.
 
     Raises:
-        FlowerError: Flower refuses, or does not answer.
+        UnansweredError: Flower refuses, or does not answer.
+        FlowerError: it answers what nobody here understands.
     """
-    row = _flwr(session, "list", connection, "--run-id", str(run_id))["runs"][0]
     try:
-        return parse_status(row["status"], row["status-details"])
+        rows = _flwr(session, "list", connection, "--run-id", str(run_id)).get("runs")
+    except FlowerError as error:
+        raise UnansweredError(str(error)) from error
+    if not rows:
+        raise UnansweredError(f"`flwr list` knows of no run {run_id}.")
+    try:
+        return parse_status(rows[0]["status"], rows[0]["status-details"])
     except ControlError as error:
         raise FlowerError(f"`flwr list` says something new: {error}.") from error
 
@@ -110,4 +124,10 @@ def _flwr(session: Session, verb: str, *arguments: str) -> Any:
     if code == 0 and answer.get("success"):
         return answer
     reason = answer.get("error-message") or tail(output + errors, 20)
+    if _SOCKS in reason:
+        raise FlowerError(
+            f"`flwr {verb}` is to go through a SOCKS proxy ({', '.join(proxies())}), for which"
+            f" Flower needs the package {_SOCKS}: `pip install {_SOCKS}` where RISFleet is"
+            " installed, or leave these variables out."
+        )
     raise FlowerError(f"`flwr {verb}` failed.", reason.strip())

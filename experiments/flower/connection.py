@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import Self
 from urllib.parse import urlsplit
@@ -11,7 +12,7 @@ from urllib.parse import urlsplit
 from env.texts import read_unmarked_text
 from experiments.flower import commands
 from experiments.flower.control import Status
-from experiments.flower.environment import FlowerError, tail
+from experiments.flower.environment import FlowerError, tail, user_environment
 from experiments.flower.manifest import Components
 from experiments.flower.session import Session
 from server_app.preflight import is_loopback
@@ -40,18 +41,20 @@ class Connection:
     def __enter__(self) -> Self:
         """Make a place for the files of a run."""
         self._session = Session()
-        environment = self._session.environment
-        environment.pop("FLWR_HOME")
-        if home := os.environ.get("FLWR_HOME"):
-            environment["FLWR_HOME"] = home
+        self._session.environment = user_environment(self._session.marker)
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop the run if it has not ended."""
+        """Stop the run if it has not ended; that it cannot be stopped hides no other error."""
         assert self._session is not None
         try:
             if self._running is not None:
                 commands.stop_run(self._session, self._running, self._name)
+        except FlowerError as unstopped:
+            first = error[1]
+            if not isinstance(first, BaseException):
+                raise
+            first.add_note(f"Run {self._running} may be going on: {unstopped}")
         finally:
             self._session.stop()
 
@@ -71,7 +74,7 @@ class Connection:
         """State of a run.
 
         Raises:
-            FlowerError: the SuperLink does not answer.
+            UnansweredError: the SuperLink does not answer.
         """
         assert self._session is not None
         status = commands.run_status(self._session, run_id, self._name)
@@ -80,9 +83,11 @@ class Connection:
         return status
 
     def log_tail(self, run_id: int, lines: int = 30) -> str:
-        """Last lines of what the ServerApp has printed."""
+        """Last lines of what the ServerApp has printed, none where they cannot be had."""
         assert self._session is not None
-        return tail(commands.run_log(self._session, run_id, self._name), lines)
+        with suppress(FlowerError):
+            return tail(commands.run_log(self._session, run_id, self._name), lines)
+        return ""
 
 
 def flower_home() -> Path:
@@ -95,7 +100,8 @@ def _check(name: str) -> None:
     try:
         known = tomllib.loads(read_unmarked_text(path, "Flower")).get("superlink", {})
     except (OSError, UnicodeError, tomllib.TOMLDecodeError) as error:
-        raise FlowerError(f"runtime.connection={name}: {path} cannot be read: {error}.") from error
+        reason = f"{path} cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise FlowerError(f"runtime.connection={name}: {reason}.") from error
     connections = {key: value for key, value in known.items() if isinstance(value, dict)}
     if name not in connections:
         there = ", ".join(connections) or "none"

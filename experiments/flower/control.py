@@ -2,6 +2,7 @@
 
 The `flwr` command costs more than a second of CPU each time, so these are the same two requests of
 Flower's Control API without it. They are internal to Flower: the caller falls back on the command.
+Nothing of the environment counts for them, proxies and certificates least of all.
 """
 
 from __future__ import annotations
@@ -128,7 +129,8 @@ class _Request(Protocol):
 def _connection(port: int, authority: Path | None, timeout_s: float) -> http.client.HTTPConnection:
     if authority is None:
         return http.client.HTTPConnection(HOST, port, timeout=timeout_s)
-    context = ssl.create_default_context(cafile=str(authority))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)  # the default one reads the environment
+    context.load_verify_locations(cafile=str(authority))
     return http.client.HTTPSConnection(HOST, port, timeout=timeout_s, context=context)
 
 

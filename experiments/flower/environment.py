@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import socket
+import sys
 import sysconfig
 from pathlib import Path
 
+from experiments.flower import variables
 from experiments.flower.processes import MARKER
 
 HOST = "127.0.0.1"
@@ -22,7 +24,6 @@ _SETTINGS = {
     # Ray hides accelerators from workers that ask for none: let every runtime see the same.
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
 }
-_FOREIGN = ("RAY_ADDRESS", "RAY_NAMESPACE", "FLWR_DATABASE")  # would lead to another's cluster
 
 
 class FlowerError(RuntimeError):
@@ -38,27 +39,54 @@ class FlowerError(RuntimeError):
         super().__init__(f"{message}\n{log.rstrip()}" if log.strip() else message)
 
 
+class UnansweredError(FlowerError):
+    """Flower was asked after a run and gave no answer, or no usable one; it may the next time."""
+
+
 class ProcessLostError(FlowerError):
     """A process of Flower's ended without a word: killed, or out of memory."""
 
 
 def child_environment(home: Path, marker: str) -> dict[str, str]:
-    """Environment of a session's processes: ours, with Flower and Ray turned to the private home.
+    """Environment of a private session's processes: what is chosen of ours, and what they need.
 
     Args:
-        home: the session's private folder.
+        home: the session's private folder, to which Flower and Ray are turned.
         marker: the session's name, by which its processes are found again.
 
     Returns:
-        The variables.
+        The variables. None of them leads through a proxy: the session does not leave this machine.
     """
-    environment = {key: value for key, value in os.environ.items() if key not in _FOREIGN}
-    environment |= _SETTINGS | {MARKER: marker, "FLWR_HOME": str(home), "RAY_TMPDIR": str(home)}
-    scripts = sysconfig.get_path("scripts")  # Flower starts its own commands by their bare names
-    environment["PATH"] = os.pathsep.join([scripts, environment.get("PATH", os.defpath)])
-    for key in ("no_proxy", "NO_PROXY"):
-        environment[key] = ",".join(filter(None, [environment.get(key), HOST, "localhost"]))
+    environment = _with_scripts(variables.chosen()) | _SETTINGS
+    if sys.platform == "darwin":  # where no variable says otherwise, the desktop's proxies count
+        environment["no_proxy"] = "*"
+    return environment | {"FLWR_HOME": str(home), "RAY_TMPDIR": str(home), MARKER: marker}
+
+
+def user_environment(marker: str) -> dict[str, str]:
+    """Environment of Flower's commands that talk to a federation of the user's.
+
+    Args:
+        marker: the session's name.
+
+    Returns:
+        All of the user's variables, as if he typed the commands himself: his proxy, certificates
+        and Flower's home count. Only what would colour their answers is left out, and what is on
+        this machine is reached without a proxy.
+    """
+    environment = _with_scripts({**os.environ}) | _SETTINGS | {MARKER: marker}
+    for name in variables.COLOURS:
+        environment.pop(name, None)
+    for name in ("no_proxy", "NO_PROXY"):
+        environment[name] = ",".join(filter(None, [environment.get(name), HOST, "localhost"]))
     return environment
+
+
+def _with_scripts(environment: dict[str, str]) -> dict[str, str]:
+    """Flower starts its own commands by their bare names."""
+    scripts = sysconfig.get_path("scripts")
+    path = os.pathsep.join([scripts, environment.get("PATH", os.defpath)])
+    return environment | {"PATH": path}
 
 
 def flower_command(name: str) -> str:

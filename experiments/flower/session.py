@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import uuid
 from collections.abc import Sequence
@@ -13,7 +12,8 @@ from pathlib import Path
 from typing import IO
 
 from experiments.flower.environment import FlowerError, child_environment
-from experiments.flower.processes import MARKER, Process, identify, terminate
+from experiments.flower.guard import Guard
+from experiments.flower.processes import Process, identify, terminate
 
 # Ray's socket, <folder>/ray/session_<date>_<pid>/sockets/plasma_store, must fit 103 bytes (107 on
 # Linux), which leaves this much for the folder in which ours is made.
@@ -23,7 +23,8 @@ _LONGEST_ROOT = 20
 class Session:
     """Starts processes that carry a marker, and ends them with all that they started.
 
-    A watchdog process does the same should the owner die without calling `stop`.
+    A watchdog process does the same should the owner die without calling `stop`. It is started
+    again where it dies, and its death changes nothing else.
 
     Attributes:
         folder: private folder: Flower's home, Ray's files, working folder of the processes.
@@ -39,7 +40,7 @@ class Session:
         self.environment = child_environment(self.folder, self.marker)
         self._children: list[subprocess.Popen[bytes]] = []
         self._roots: set[Process] = set()
-        self._watchdog = self._start_watchdog()
+        self._guard = Guard(self.marker, self.folder)
 
     def spawn(
         self, argv: Sequence[str], output: IO[bytes] | int, errors: int = subprocess.STDOUT
@@ -66,8 +67,12 @@ class Session:
         self._children.append(child)
         if (process := identify(child.pid)) is not None:
             self._roots.add(process)
-            self._tell_watchdog(f"{process.pid}\t{process.started}\n")
+            self._guard.add(process)
         return child
+
+    def keep_guard(self) -> None:
+        """Start the watchdog anew if it has died; cheap, to be called once in a while."""
+        self._guard.keep()
 
     def root(self, child: subprocess.Popen[bytes]) -> Process:
         """The identity of a process that `spawn` started."""
@@ -103,33 +108,7 @@ class Session:
         for child in self._children:
             child.poll()
         shutil.rmtree(self.folder, ignore_errors=True)
-        if self._watchdog.stdin is not None:
-            self._watchdog.stdin.close()
-        try:
-            self._watchdog.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            self._watchdog.kill()
-            self._watchdog.wait()
+        self._guard.stop()
         if left:
             numbers = ", ".join(str(row.pid) for row in sorted(left, key=lambda row: row.pid))
             raise FlowerError(f"These processes of Flower's could not be ended: {numbers}.")
-
-    def _start_watchdog(self) -> subprocess.Popen[bytes]:
-        environment = {key: value for key, value in os.environ.items() if key != MARKER}
-        return subprocess.Popen(
-            # -P: a folder `experiments` where the user happens to be must not be taken for ours.
-            [sys.executable, "-P", "-m", f"{__package__}.watchdog", self.marker, str(self.folder)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=environment,
-            start_new_session=True,
-        )
-
-    def _tell_watchdog(self, line: str) -> None:
-        if self._watchdog.stdin is not None:
-            try:
-                self._watchdog.stdin.write(line.encode())
-                self._watchdog.stdin.flush()
-            except BrokenPipeError:
-                pass  # somebody ended it: then nothing guards us, and nothing else changes

@@ -114,9 +114,10 @@ class SuperLink:
             The state; FAILED also where what runs it died and Flower has not noticed.
 
         Raises:
-            FlowerError: the SuperLink ended, or the run did not start in time.
+            UnansweredError: the SuperLink is there and does not answer.
+            FlowerError: it ended, or the run did not start in time.
         """
-        self._require_alive()
+        self._require_alive().keep_guard()
         status = self._ask(run_id)
         if status.state is RunState.RUNNING and (death := self._death()):
             status = self._ask(run_id)  # it may have ended well in between
@@ -150,7 +151,8 @@ class SuperLink:
         finally:
             session.stop()
             if self._log is not None:
-                self._log.close()
+                with suppress(OSError):  # of a full disk: a log is no reason for a run to fail
+                    self._log.close()
 
     # --- What differs between runtimes ------------------------------------------------------------
 
@@ -183,6 +185,7 @@ class SuperLink:
         )  # fmt: skip
         deadline = time.monotonic() + self._start_timeout_s
         while not control.is_healthy(self._port, self._authority):
+            self._session.keep_guard()
             if self._superlink.poll() is not None:
                 if not last and "address already in use" in self._superlink_log():
                     return False
@@ -231,17 +234,16 @@ class SuperLink:
                 raise
 
     def _superlink_log(self, lines: int = 30) -> str:
-        if not self._log_path.exists():
-            return ""
-        with self._log_path.open("rb") as log:
+        with suppress(OSError), self._log_path.open("rb") as log:
             log.seek(self._log_begin)
             return tail(_ANSI.sub("", log.read().decode(errors="replace")), lines)
+        return ""
 
     def _save_run_logs(self) -> None:
         """Append what the runs printed, which only the SuperLink's memory holds."""
         if self._log is None or self._superlink is None or self._superlink.poll() is not None:
             return
         for run_id in self._submitted:
-            with suppress(ControlError):
+            with suppress(ControlError, OSError):
                 text = _ANSI.sub("", control.run_log(self._port, run_id, self._authority))
                 self._log.write(f"\n--- Run {run_id} ---\n{text}".encode())

@@ -18,6 +18,7 @@ from conf.user_paths import user_path
 from env.plugins import PluginError
 from experiments.batch.train import Outcome
 from experiments.evaluate import positive
+from experiments.mishaps import in_words
 from experiments.reproduce import manifest
 from experiments.reproduce.plan import Cell, Target, with_overrides
 from experiments.reproduce.runner import Plan, train
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"risfleet: {error}", file=sys.stderr)
+        print(f"risfleet: {in_words(error)}", file=sys.stderr)
         return 1
     return 0
 

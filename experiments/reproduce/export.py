@@ -20,6 +20,7 @@ from typing import Any
 from conf import ConfigError, to_yaml
 from conf.schema import RunConfig
 from conf.user_paths import user_path
+from experiments.mishaps import in_words
 from experiments.reproduce import repeat
 from experiments.reproduce.card import Player, card
 from experiments.reproduce.command import TARGETS
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         others = dict(_named(item) for item in given.weights)
         files = export(given.source, given.results, others)
     except (ConfigError, OSError) as error:
-        print(f"export: {error}", file=sys.stderr)
+        print(f"export: {in_words(error)}", file=sys.stderr)
         return 2
     size = sum(path.stat().st_size for path in files)
     print(f"{len(files)} files, {size / 1e6:.1f} MB, in {given.results}")

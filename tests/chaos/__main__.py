@@ -8,6 +8,7 @@ import shutil
 import signal
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -33,7 +34,7 @@ def main() -> int:
     if asked.hosts and why_no_hosts:
         print(f"chaos: --hosts cannot be played: {why_no_hosts}", file=sys.stderr)
         return 2
-    chosen = [] if asked.hosts else [ALL[name] for name in asked.runtimes.split(",")]
+    chosen = [] if asked.hosts else _chosen(asked.runtimes, asked.roles)
     skipped = [f"{item.name} skipped: {item.missing()}" for item in chosen if item.missing()]
     skipped += [f"two hosts skipped: {why_no_hosts}"] if why_no_hosts else []
     for line in skipped:
@@ -60,11 +61,24 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--runtimes", default=",".join(ALL))
+    parser.add_argument("--roles", help="whom to kill, such as watchdog,SuperExec; default: all")
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"))
     parts = parser.add_mutually_exclusive_group()
     parts.add_argument("--hosts", action="store_true", help="the two hosts alone")
     parts.add_argument("--no-links", action="store_true", help="leave the two hosts out")
     return parser
+
+
+def _chosen(runtimes: str, roles: str | None) -> list[Runtime]:
+    """The runtimes to play, those left out in which nobody is to be killed."""
+    all_of = [ALL[name] for name in runtimes.split(",")]
+    if roles is None:
+        return all_of
+    wanted = [
+        replace(runtime, roles=tuple(role for role in runtime.roles if role in roles.split(",")))
+        for runtime in all_of
+    ]
+    return [runtime for runtime in wanted if runtime.roles]
 
 
 def _try_hosts(out: Path, reference: Path, scratch: Path, console: Console) -> bool:

@@ -21,6 +21,7 @@ HUNG = -1000
 """The status of a launcher that did not end."""
 
 _LOOK_S = 0.01
+_UNGUARDED_S = 10.0  # a session looks after its watchdog about once a second
 _STARE_S = 0.0002  # a checkpoint is written in a few milliseconds
 
 
@@ -162,8 +163,9 @@ class Attempt:
     def _targets(self) -> dict[str, list[Process]]:
         """Who may be killed now."""
         there = self._crowd.roles()
-        if any(hit.role == WATCHDOG for hit in self._hits):
-            there.pop(LAUNCHER, None)  # the one who would clean up after it is dead already
+        now = time.monotonic()
+        if any(hit.role == WATCHDOG and now - hit.at < _UNGUARDED_S for hit in self._hits):
+            there.pop(LAUNCHER, None)  # the one who would clean up after it is not back yet
         return there
 
     def _wait(self, condition: Callable[[], bool], pause_s: float = _LOOK_S) -> bool:

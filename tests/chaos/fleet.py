@@ -23,6 +23,7 @@ from chaos.crowd import MARK, Crowd
 from chaos.hosts import ADDRESSES, Side, TwoHosts
 from experiments.flower.environment import flower_command
 from experiments.flower.processes import command
+from experiments.flower.variables import chosen
 
 HUB: Side = 0
 FAR: Side = 1
@@ -210,7 +211,7 @@ class Fleet:
         """Starts a command with its output in ``NAME.log`` of a folder."""
         scripts = str(Path(flower_command("flwr")).parent)
         paths = filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])
-        environment = os.environ | {
+        environment = chosen() | {
             MARK: self._mark,
             "FLWR_HOME": str(folder / "flower"),
             "FLWR_TELEMETRY_ENABLED": "0",

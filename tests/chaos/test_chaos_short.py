@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from chaos import report
-from chaos.__main__ import play_reference, shares
+from chaos.__main__ import _chosen, play_reference, shares
 from chaos.crowd import Deck
 from chaos.story import Row, Story
 from chaos.tasks import ALL, DEPLOYMENT, LOCAL, SIMULATION, Runtime
@@ -69,6 +69,16 @@ def test_a_runtime_or_a_key_that_is_no_choice_is_named() -> None:
     assert replace(LOCAL, name="moon").missing() == "runtime=moon is no choice in this version"
     changed = replace(LOCAL, overrides=("federation.on_moon=wait",))
     assert changed.missing() == "federation.on_moon is no key in this version"
+
+
+def test_a_play_may_be_for_some_roles_alone() -> None:
+    assert _chosen("local,simulation", None) == [LOCAL, SIMULATION]
+    found = _chosen("local,simulation,deployment", "watchdog,SuperNode")
+    roles = [(runtime.name, runtime.roles) for runtime in found]
+    assert roles == [
+        ("simulation", ("watchdog",)),
+        ("deployment", ("watchdog", "SuperNode")),
+    ]
 
 
 def test_the_report_counts_by_runtime_and_role(tmp_path: Path) -> None:

@@ -22,12 +22,14 @@ from experiments.flower import (
     ProcessLostError,
     RunState,
     Status,
+    UnansweredError,
     commands,
     control,
     federation,
     superlink,
 )
 from experiments.flower.processes import MARKER, members
+from server_app.files import report_failure
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/environ").exists(), reason="finds processes in /proc"
@@ -320,6 +322,94 @@ def test_what_is_no_loss_ends_the_run_at_once(persevere: Callable[..., None]) ->
         with pytest.raises(FlowerError):
             persevere(attempts, [], on_loss)
         assert len(attempts.resumed) == 1
+
+
+# --- Asking how it goes ---------------------------------------------------------------------------
+
+
+class Asked:
+    """A runner that answers in turn; what is no status is raised."""
+
+    poll_s = 0.0
+
+    def __init__(self, *answers: Status | Exception) -> None:
+        self.answers = list(answers)
+
+    def status(self, run_id: int) -> Status:
+        answer = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+SILENT = UnansweredError("`flwr list` gave no answer within 60 s.")
+DONE = Status(RunState.COMPLETED)
+
+
+def test_questions_without_an_answer_are_no_end_of_a_run() -> None:
+    asked = Asked(SILENT, Status(RunState.RUNNING), SILENT, SILENT, DONE)
+    assert on_flower._awaited(asked, 1, 60.0) == DONE  # type: ignore[arg-type]
+
+
+def test_a_superlink_that_stays_silent_is_given_up() -> None:
+    with pytest.raises(UnansweredError, match="no answer within"):
+        on_flower._awaited(Asked(SILENT), 1, 0.05)  # type: ignore[arg-type]
+
+
+def test_what_flower_says_clearly_is_not_asked_again() -> None:
+    for error in (DIED, FlowerError("SuperNode 0 ended with status 3 again and again.")):
+        with pytest.raises(type(error)) as raised:
+            on_flower._awaited(Asked(error, DONE), 1, 60.0)  # type: ignore[arg-type]
+        assert raised.value is error
+
+
+@pytest.mark.parametrize("answer", ["", "no JSON", '{"success": true, "runs": []}'])
+def test_a_command_that_tells_nothing_of_a_run_is_asked_again(
+    home: Path, install: Callable[[str, str], None], answer: str
+) -> None:
+    install("flwr", f"print({answer!r})")
+    with Connection("near") as connection, pytest.raises(UnansweredError):
+        connection.status(1)
+
+
+def test_a_log_that_cannot_be_had_hides_no_failure(
+    home: Path, install: Callable[[str, str], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install("flwr", "import time; time.sleep(600)")
+    monkeypatch.setattr(commands, "_TIMEOUT_S", 0.2)
+    with Connection("near") as connection:
+        assert connection.log_tail(1) == ""
+
+
+def test_a_run_that_cannot_be_stopped_is_said_below_why_it_was_to_be(
+    home: Path, install: Callable[[str, str], None]
+) -> None:
+    install("flwr", """print('{"success": false, "error-message": "unknown"}')""")
+    with pytest.raises(ValueError, match="the reason") as raised, Connection("near") as connection:  # noqa: PT012
+        connection._running = 7
+        raise ValueError("the reason")
+    assert raised.value.__notes__ == ["Run 7 may be going on: `flwr stop` failed.\nunknown"]
+
+
+def test_a_full_disk_below_flowers_log_leaves_a_run_as_it_ended(
+    running: Callable[..., Federation], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = running(nodes=1)
+    made._submitted[1] = 0.0
+    monkeypatch.setattr(control, "run_log", lambda *_: "much to say" * 1000)
+    assert made._log is not None
+    made._log.close()
+    made._log = open("/dev/full", "ab")  # noqa: SIM115
+    made.stop()
+
+
+@pytest.mark.parametrize("progress", ["", "{", "[]", "7"])
+def test_a_damaged_progress_file_does_not_hide_why_a_run_failed(
+    tmp_path: Path, progress: str
+) -> None:
+    (tmp_path / "progress.json").write_text(progress)
+    report_failure(tmp_path, ValueError("the reason"))
+    assert "the reason" in (tmp_path / "progress.json").read_text()
 
 
 @pytest.mark.parametrize(

@@ -262,5 +262,5 @@ def test_a_full_disk_leaves_nothing_half_made(
 
     monkeypatch.setattr(keys_module, "_fill_node", fail_on_the_second_node)
     assert main(["keys", str(tmp_path / "keys"), "--host", HOST, "--nodes", "3"]) == 2
-    assert "cannot be written: [Errno 28] No space left on device" in capsys.readouterr().err
+    assert "cannot be written: No space left on device." in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -219,18 +219,6 @@ def test_a_session_whose_owner_is_killed_is_cleaned_up() -> None:
     wait_until(lambda: not members(marker) and not Path(folder).exists())
 
 
-def test_children_reach_neither_a_users_flower_home_nor_a_foreign_ray_cluster(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("RAY_ADDRESS", "10.0.0.1:6379")
-    monkeypatch.setenv("NO_PROXY", "example.org")
-    variables = environment.child_environment(tmp_path, "name")
-    assert "RAY_ADDRESS" not in variables
-    assert variables["FLWR_HOME"] == variables["RAY_TMPDIR"] == str(tmp_path)
-    assert variables["NO_PROXY"] == "example.org,127.0.0.1,localhost"
-    assert Path(variables["PATH"].split(os.pathsep)[0], "flower-superexec").exists()
-
-
 # --- Starting the SuperLink ---
 
 

@@ -42,6 +42,14 @@ from experiments.flower.processes import (
 from experiments.flower.session import Session
 
 ROOT = Path(__file__).parents[2]
+ELSEWHERE = {
+    "all_proxy": "socks5://127.0.0.1:9",
+    "HTTP_PROXY": "http://127.0.0.1:9",
+    "SSL_CERT_FILE": "/nowhere",
+    "FORCE_COLOR": "1",
+    "RAY_ADDRESS": "127.0.0.1:9",
+    "FLWR_OIDC_ENABLED": "1",
+}
 LENGTH = ("train.max_ticks=150", "federation.every=25")
 
 Train = Callable[..., int]
@@ -68,8 +76,13 @@ def sessions(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Session]]:
 
 @pytest.fixture
 def train(tmp_path: Path, tiny_overrides: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> Train:
-    """Trains the tiny task with the command, in the test's folder of the given name."""
+    """Trains the tiny task with the command, in the test's folder of the given name.
+
+    Its user has an environment that leads Flower and Ray elsewhere.
+    """
     monkeypatch.chdir(tmp_path)
+    for name, value in ELSEWHERE.items():
+        monkeypatch.setenv(name, value)
 
     def run(name: str, *changes: str) -> int:
         given = with_changes(tiny_overrides, *LENGTH, *changes, f"run.dir={tmp_path / name}")

@@ -19,7 +19,8 @@ from conf import Config, from_yaml
 from env.world import World
 from experiments import local
 from experiments.display import read_progress
-from server_app.files import to_json
+from server_app import recorder
+from server_app.files import to_json, write_atomically
 from server_app.history import EVALUATIONS, MEASURES, METRICS, History
 from server_app.progress import Progress
 from server_app.recorder import Recorder
@@ -255,6 +256,83 @@ def test_a_run_that_fails_says_so_with_its_reason(
     assert "weights are not finite" in status["message"]
     assert not (tmp_path / "summary.json").exists()
     assert not (tmp_path / "weights.safetensors").exists()
+
+
+# --- Who only watches -----------------------------------------------------------------------------
+
+
+def test_a_run_whose_progress_cannot_be_written_goes_on_and_says_so_once(
+    tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected = trained(tiny, tmp_path / "undisturbed")["digest"]
+    monkeypatch.setattr("server_app.recorder.PROGRESS_PERIOD_S", 0.0)
+    write, refused = recorder.write_atomically, []
+
+    def refuse(path: Path, text: str, **options: bool) -> None:
+        if path.name == "progress.json":
+            refused.append(path)
+            raise OSError(28, "No space left on device", str(path))
+        write(path, text, **options)
+
+    monkeypatch.setattr(recorder, "write_atomically", refuse)
+    assert trained(tiny, tmp_path / "run")["digest"] == expected
+    assert len(refused) > 2
+    (said,) = caplog.messages
+    assert said == "progress.json is not written: No space left on device"
+
+
+class Events:
+    """Events whose file cannot be written, from the moment that is named on."""
+
+    def __init__(self, breaks: str) -> None:
+        self.breaks = breaks
+
+    def add_scalar(self, *_: Any) -> None:
+        """Adds nothing."""
+        if self.breaks == "writing":
+            raise OSError(28, "No space left on device")
+
+    def close(self) -> None:
+        """Closes nothing."""
+        raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("breaks", ["opening", "writing", "closing"])
+def test_a_run_whose_events_cannot_be_written_goes_on_and_says_so_once(
+    tiny: Tiny,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    breaks: str,
+) -> None:
+    import torch.utils.tensorboard as tensorboard
+
+    def make(*_: Any, **__: Any) -> Events:
+        if breaks == "opening":
+            raise PermissionError(13, "Permission denied")
+        return Events(breaks)
+
+    monkeypatch.setattr(tensorboard, "SummaryWriter", make)
+    summary = trained(tiny, tmp_path, {"run.tensorboard": True})
+    assert summary["ticks"] == 100
+    assert strict_json(tmp_path / "progress.json")["state"] == "done"
+    (said,) = caplog.messages
+    assert said.startswith("no events for TensorBoard from here on: ")
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("server_app.files.os.fsync", refuse)
+    with pytest.raises(OSError, match=r"No space left on device.*config\.yaml"):
+        write_atomically(tmp_path / "config.yaml", "text")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- Stopping -------------------------------------------------------------------------------------
 
 
 def test_a_stop_file_ends_a_run_at_the_next_window(tiny: Tiny, tmp_path: Path) -> None:

@@ -293,7 +293,7 @@ def test_a_full_disk_ends_a_run_with_a_sentence(tiny_overrides, tmp_path, monkey
     given = ["train", *tiny_overrides, *CHANGES, f"run.dir={tmp_path / 'full'}"]
     assert main(given) == 1
     (said,) = capsys.readouterr().err.splitlines()
-    assert said.startswith(f"risfleet: [Errno 28] No space left on device: '{tmp_path / 'full'}")
+    assert said.startswith(f"risfleet: No space left on device: {tmp_path / 'full'}")
 
 
 @pytest.mark.parametrize("folder", ["/tmp/my run", "/tmp/it's", "/tmp/lr=0.1 $HOME", "/tmp/plain"])
