@@ -32,7 +32,6 @@ from agent.config import (
     EpsilonConfig,
     PriorityConfig,
     TargetConfig,
-    problems,
 )
 from agent.dqn import DQN
 from agent.exploration import NO_ACTION, epsilon_at
@@ -72,7 +71,6 @@ __all__ = [
     "generator_state",
     "load_checkpoint",
     "naming",
-    "problems",
     "q_values",
     "restore_generator",
     "save_checkpoint",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from env.config import Problem
+from env.validate import Problem
 
 
 class ConfigError(ValueError):

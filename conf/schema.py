@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Interval
 
 from agent.config import AgentConfig
-from env.config import EnvConfig
+from env.config import EnvConfig, NotNegative
+
+Decay = Annotated[float, Interval(ge=0, lt=1)]
+Seconds = Annotated[float, Interval(ge=0.1, le=86_400)]
 
 
 @dataclass(frozen=True)
@@ -13,42 +19,54 @@ class StrategyConfig:
     """How the robots' weights become one."""
 
     name: str = "fedavg"
-    proximal_mu: float = 0.0  # mu, fedprox
-    malicious: int = 0  # f, krum: how many robots may upload anything at all
-    server_rate: float = 1.0  # eta, fedavgm and fedadam: how far the server steps
-    momentum: float = 0.0  # beta, fedavgm
-    beta_1: float = 0.0  # fedadam: decay of the mean of the robots' steps
-    beta_2: float = 0.0  # fedadam: decay of the mean of their squares
-    tau: float = 0.0  # fedadam: added to the root of those squares
+    proximal_mu: Annotated[NotNegative, "mu, fedprox"] = 0.0
+    malicious: Annotated[int, Ge(0), "f, krum: how many robots may upload anything at all"] = 0
+    server_rate: Annotated[
+        float, Interval(gt=0, le=10), "eta, fedavgm and fedadam: how far the server steps"
+    ] = 1.0
+    momentum: Annotated[Decay, "beta, fedavgm"] = 0.0
+    beta_1: Annotated[Decay, "fedadam: decay of the mean of the robots' steps"] = 0.0
+    beta_2: Annotated[Decay, "fedadam: decay of the mean of their squares"] = 0.0
+    tau: Annotated[NotNegative, "fedadam: added to the root of those squares"] = 0.0
 
 
 @dataclass(frozen=True)
 class SchemeConfig:
     """Who decides: the paper's F-DRL, or a baseline."""
 
-    agents: str = "federated"  # or one agent for everything: centralized, branching
-    phase: str = "learned"  # by the access point's DQN; or random, fixed, oracle
-    robots: str = "learned"  # or shortest ways: shortest_canonical, shortest_best
-    heads: str = "own"  # branching: each head's own reward, or shared
-    global_share: float = 0.1  # of r_G in a reward for everything, Baseline 1
+    agents: Annotated[
+        str, Literal["federated", "centralized", "branching"], "the last two: one for everything"
+    ] = "federated"
+    phase: Annotated[
+        str, Literal["learned", "random", "fixed", "oracle"], "learned by the access point's DQN"
+    ] = "learned"
+    robots: Annotated[
+        str,
+        Literal["learned", "shortest_canonical", "shortest_best"],
+        "the last two: shortest ways",
+    ] = "learned"
+    heads: Annotated[str, Literal["own", "shared"], "branching: whose reward"] = "own"
+    global_share: Annotated[NotNegative, "of r_G in a reward for everything (Baseline 1)"] = 0.1
 
 
 @dataclass(frozen=True)
 class RuntimeConfig:
     """Where the agents run."""
 
-    name: str = "local"
-    start_timeout_s: float = 180.0  # until every Flower client has joined
-    connection: str | None = None  # deployment: a SuperLink that Flower's configuration names
-    secure: bool = False  # deployment: TLS and keys also on loopback
+    name: Annotated[str, Literal["local", "simulation", "deployment"]] = "local"
+    start_timeout_s: Annotated[Seconds, "until every Flower client has joined"] = 180.0
+    connection: Annotated[
+        str | None, "deployment: a SuperLink that Flower's configuration names; null starts one"
+    ] = None
+    secure: Annotated[bool, "deployment: TLS and keys also on loopback"] = False
 
 
 @dataclass(frozen=True)
 class TrainConfig:
     """When a run ends: at the first window boundary after either limit."""
 
-    episodes: int = 300  # N_e
-    max_ticks: int | None = None
+    episodes: Annotated[int, Ge(1), "N_e"] = 300
+    max_ticks: Annotated[int | None, Ge(1), "a number ends the run earlier"] = None
 
 
 @dataclass(frozen=True)
@@ -56,21 +74,29 @@ class LinkConfig:
     """The lockstep link between the ServerApp and the robots."""
 
     host: str = "127.0.0.1"
-    port: int = 0  # 0 picks a free one
-    tls: bool | None = None  # None: where the host is not loopback
-    timeout_s: float = 60.0  # longest wait for a robot's answer
-    patience_s: float = 600.0  # longest silence of the server, while others join or it evaluates
+    port: Annotated[int, Interval(ge=0, le=65_535), "0 picks a free one"] = 0
+    tls: Annotated[bool | None, "null is true where the host is not loopback"] = None
+    timeout_s: Annotated[Seconds, "longest wait for a robot's answer"] = 60.0
+    patience_s: Annotated[
+        Seconds, "longest silence of the server, while others join or it evaluates"
+    ] = 600.0
 
 
 @dataclass(frozen=True)
 class FederationConfig:
     """How robots are dealt to Flower clients and how often weights are averaged."""
 
-    every: int = 25  # N_F in ticks, Table I
-    windows_per_round: int | None = None
-    clients: int | None = None
-    on_loss: str = "wait"  # for a robot that is lost to come back, or abort
-    loss_timeout_s: float = 300.0  # how long to wait for it
+    every: Annotated[
+        int, Interval(ge=1, le=1_000_000), "N_F: ticks between aggregations, Table I"
+    ] = 25
+    windows_per_round: Annotated[
+        int | None, Ge(1), "aggregations in one Flower round; null is 100, deployed 20 000 ticks'"
+    ] = None
+    clients: Annotated[int | None, "Flower clients; null is min(K, 4), deployed K"] = None
+    on_loss: Annotated[
+        str, Literal["wait", "abort"], "wait for a robot or process that is lost to come back"
+    ] = "wait"
+    loss_timeout_s: Annotated[Seconds, "how long to wait for it"] = 300.0
     link: LinkConfig = field(default_factory=LinkConfig)
 
 
@@ -78,24 +104,24 @@ class FederationConfig:
 class StateConfig:
     """Checkpoints, from which a run that died goes on."""
 
-    every: int | None = 50  # windows between two; None writes none
+    every: Annotated[int | None, Ge(1), "windows between checkpoints; null writes none"] = 50
 
 
 @dataclass(frozen=True)
 class EvaluationConfig:
     """Evaluation of frozen weights while training and at the end."""
 
-    every: int = 10  # in training episodes
-    episodes: int = 50
-    epsilon: float = 0.05
+    every: Annotated[int, Ge(1), "training episodes between evaluations"] = 10
+    episodes: Annotated[int, Interval(ge=1, le=100_000)] = 50
+    epsilon: Annotated[float, Interval(ge=0, le=1)] = 0.05
 
 
 @dataclass(frozen=True)
 class RunConfig:
     """What a run leaves behind, and where."""
 
-    dir: str | None = None
-    id: str | None = None  # drawn when the run begins; names its robots' state on their nodes
+    dir: Annotated[str | None, "null makes a new folder below runs/"] = None
+    id: Annotated[str | None, "null draws one; it names the robots' state on their nodes"] = None
     figures: bool = True
     tensorboard: bool = True
 
@@ -104,7 +130,7 @@ class RunConfig:
 class Config:
     """A whole run."""
 
-    seed: int = 0
+    seed: Annotated[int, Ge(0)] = 0
     env: EnvConfig = field(default_factory=EnvConfig)
     agent: AgentConfig = field(default_factory=AgentConfig)
     strategy: StrategyConfig = field(default_factory=StrategyConfig)

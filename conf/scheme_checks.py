@@ -7,40 +7,25 @@ from collections.abc import Iterator
 from agent.config import AgentConfig
 from conf.networks import joint_actions
 from conf.schema import Config, SchemeConfig
-from env.config import Problem
-
-AGENTS = ("federated", "centralized", "branching")
-PHASE = ("learned", "random", "fixed", "oracle")
-ROBOTS = ("learned", "shortest_canonical", "shortest_best")
-HEADS = ("own", "shared")
+from env.validate import Problem
 
 MOST_JOINT_ACTIONS = 100_000
 """A network's outputs for a centralized DQN: K = 3 with the paper's actions has 55,296."""
 
 
-def problems(config: Config) -> list[Problem]:
-    """Lists what is wrong with a scheme: keys, their values, and what is allowed.
+def rules(config: Config) -> Iterator[Problem]:
+    """What is wrong with a scheme: keys, their values, and what is allowed.
 
     Args:
         config: free of other problems.
     """
     scheme = config.scheme
-    found: list[Problem] = [
-        (f"scheme.{key}", getattr(scheme, key), f"one of {', '.join(names)}")
-        for key, names in (("agents", AGENTS), ("phase", PHASE), ("robots", ROBOTS))
-        if getattr(scheme, key) not in names
-    ]
-    if scheme.heads not in HEADS:
-        found.append(("scheme.heads", scheme.heads, " or ".join(HEADS)))
-    if not 0 <= scheme.global_share < float("inf"):
-        found.append(("scheme.global_share", scheme.global_share, "a finite number of at least 0"))
-    if not found:
-        found += _unread_keys(scheme)
+    found = list(_unread_keys(scheme))
     if not found and scheme.agents != "federated":
-        found += _central_problems(config)
+        found = list(_central_problems(config))
     if not found and scheme.robots != "learned":
-        found += _idle_problems(config)
-    return found
+        found = list(_idle_problems(config))
+    yield from found
 
 
 def _unread_keys(scheme: SchemeConfig) -> Iterator[Problem]:

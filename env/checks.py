@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
-from numbers import Integral, Real
 from typing import Any
 
 from env import floor_plans
-from env.config import EnvConfig, Problem
+from env.config import EnvConfig
 from env.config_checks import problems
+from env.validate import Problem, value_problems
 
 
 def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvConfig:
@@ -55,12 +55,14 @@ def planned_config(plan: str) -> EnvConfig:
         ValueError: naming the plan, the key and what is allowed.
     """
     values = floor_plans.read(plan)
-    config: EnvConfig = _replaced(EnvConfig(plan=plan), values, f"env.plan={plan}: env")
+    above = f"env.plan={plan}: env"
+    config: EnvConfig = _replaced(EnvConfig(plan=plan), values, above)
+    refuse(list(value_problems(config, f"{above}.")))
     return config
 
 
 def _replaced(base: Any, values: Any, key: str) -> Any:
-    """A dataclass with some fields replaced, whose types must be those of the old values."""
+    """A dataclass with some fields replaced, whatever their types; sequences become lists."""
     if not isinstance(values, Mapping):
         raise ValueError(f"{key}={values!r}: allowed is a mapping of its fields")
     names = [field.name for field in fields(base)]
@@ -69,28 +71,9 @@ def _replaced(base: Any, values: Any, key: str) -> Any:
         if name not in names:
             raise ValueError(f"{key}.{name}={value!r}: allowed keys are {', '.join(names)}")
         old = getattr(base, name)
-        if is_dataclass(old):
-            nested = isinstance(value, type(old))
-            changes[name] = value if nested else _replaced(old, value, f"{key}.{name}")
-        else:
-            changes[name] = _typed(value, old, f"{key}.{name}")
+        nested = is_dataclass(old) and not isinstance(value, type(old))
+        changes[name] = _replaced(old, value, f"{key}.{name}") if nested else _as_list(value)
     return replace(base, **changes)
-
-
-def _typed(value: Any, old: Any, key: str) -> Any:
-    """The value, if it is of the old one's kind; sequences become lists all through."""
-    if isinstance(old, list):
-        kind, right = "a list", isinstance(value, Sequence) and not isinstance(value, str)
-    elif isinstance(old, str):
-        kind, right = "a word", isinstance(value, str)
-    elif isinstance(old, bool):
-        kind, right = "True or False", isinstance(value, bool)
-    else:
-        kind, number = ("a whole number", Integral) if isinstance(old, int) else ("a number", Real)
-        right = isinstance(value, number) and not isinstance(value, bool)
-    if not right:
-        raise ValueError(f"{key}={value!r}: allowed is {kind}")
-    return _as_list(value) if isinstance(old, list) else value
 
 
 def _as_list(value: Any) -> Any:

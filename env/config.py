@@ -7,19 +7,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
-Problem = tuple[str, Any, str]
-"""A key, the value it has, and what is allowed there."""
+from annotated_types import Ge, Gt, Interval
+
+MAX_PHASE_ACTIONS = 4096
+MAX_CELLS = 250_000
+MAX_PAIRS = 10**9  # of elements and cells whose distances the far and near field need
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+Side = Annotated[float, Interval(ge=1, le=1000)]
 
 
 @dataclass(frozen=True)
 class RoomConfig:
     """The floor: a rectangle with a corner at the origin, cut into square cells."""
 
-    width_m: float = 30.0
-    depth_m: float = 30.0
-    cell_m: float = 0.5  # Delta_S, Table I
+    width_m: Side = 30.0
+    depth_m: Side = 30.0
+    cell_m: Annotated[Positive, "Delta_S, Table I"] = 0.5
 
 
 @dataclass(frozen=True)
@@ -29,8 +36,10 @@ class WallsConfig:
     With ``block_motion`` they are solid: a move that touches or crosses one stays put.
     """
 
-    segments: list[Any] = field(default_factory=lambda: [[0.0, 15.0, 21.0, 15.0]])
-    block_motion: bool = False
+    segments: Annotated[list[Any], "x0, y0, x1, y1 in m"] = field(
+        default_factory=lambda: [[0.0, 15.0, 21.0, 15.0]]
+    )
+    block_motion: Annotated[bool, "true: solid walls, which stop robots too"] = False
 
 
 @dataclass(frozen=True)
@@ -45,25 +54,31 @@ class RisConfig:
     """The reconfigurable intelligent surface: M = side^2 elements in N sub-surfaces."""
 
     position_m: list[float] = field(default_factory=lambda: [30.0, 7.5, 2.0])
-    side: int = 30  # M_R; 0 is no RIS
-    subsurfaces: int = 1  # N
-    bits: int = 2  # b; N_R = 2^b phases
-    response: str = "coherent"
-    spacing: float = 0.5  # of neighbouring elements, in wavelengths
-    axis: str = "y"  # the panel's horizontal direction
-    action: str = "phases"  # what the AP chooses among
-    sectors: list[int] = field(default_factory=lambda: [6, 6])  # of the codebook, along x and y
+    side: Annotated[int, Interval(ge=0, le=256), "M_R, so M = side^2; 0 is no RIS"] = 30
+    subsurfaces: Annotated[int, Interval(ge=1, le=65536), "N"] = 1
+    bits: Annotated[int, Interval(ge=1, le=12), "b, so N_R = 2^b phases"] = 2
+    response: Annotated[str, Literal["coherent", "far", "near", "rayleigh"]] = "coherent"
+    spacing: Annotated[
+        float, Interval(ge=0.01, le=100), "of neighbouring elements, in wavelengths (far, near)"
+    ] = 0.5
+    axis: Annotated[str, Literal["x", "y"], "the panel's horizontal direction (far, near)"] = "y"
+    action: Annotated[
+        str, Literal["phases", "codebook"], "what the AP chooses; a codebook's beams (far, near)"
+    ] = "phases"
+    sectors: Annotated[list[int], "of the codebook, along x and y"] = field(
+        default_factory=lambda: [6, 6]
+    )
 
 
 @dataclass(frozen=True)
 class MotionConfig:
     """How robots move and what moving costs."""
 
-    speed_mps: float = 0.5  # v, Table I
-    energy_per_m_j: float = 7.4  # E_1, Table I
-    idle_power_w: float = 0.29  # E_2, Table I
-    antenna_height_m: float = 1.0
-    max_slots: int = 150  # T_max = T_e
+    speed_mps: Annotated[Positive, "v, Table I"] = 0.5
+    energy_per_m_j: Annotated[NotNegative, "E_1, Table I"] = 7.4
+    idle_power_w: Annotated[Positive, "E_2, Table I"] = 0.29
+    antenna_height_m: NotNegative = 1.0
+    max_slots: Annotated[int, Interval(ge=1, le=1_000_000), "T_max = T_e"] = 150
 
 
 @dataclass(frozen=True)
@@ -78,79 +93,88 @@ class TasksConfig:
     each episode. ``fixed``: at the first K of ``starts_m``.
     """
 
-    destination: str = "fixed"
-    destinations_m: list[Any] = field(
+    destination: Annotated[str, Literal["fixed", "random", "common"]] = "fixed"
+    destinations_m: Annotated[list[Any], "of the first robots; further ones are drawn"] = field(
         default_factory=lambda: [[27.25, 12.25], [4.25, 10.25], [22.25, 2.25], [26.25, 24.25]]
     )
-    destination_spacing_m: float = 5.0
-    start: str = "random"
-    starts_m: list[Any] = field(default_factory=list)
-    start_distance_m: float = 10.0
+    destination_spacing_m: NotNegative = 5.0
+    start: Annotated[str, Literal["random", "fixed"]] = "random"
+    starts_m: Annotated[list[Any], "of at least all robots, with start=fixed"] = field(
+        default_factory=list
+    )
+    start_distance_m: Annotated[NotNegative, "least distance from start to destination"] = 10.0
 
 
 @dataclass(frozen=True)
 class ChannelConfig:
     """Path loss and fading: 3GPP TR 38.901, indoor hotspot, or a model of the user's own."""
 
-    model: str = "indoor_hotspot"
-    frequency_ghz: float = 2.4
+    model: Annotated[str, "or an installed package's (docs/extending.md)"] = "indoor_hotspot"
+    frequency_ghz: Positive = 2.4
     rician_k_db: float = 7.0
-    fading: str = "static"
-    los_phase: str = "zero"
+    fading: Annotated[str, Literal["static", "none", "slot"], "of the direct channel"] = "static"
+    los_phase: Annotated[str, Literal["zero", "distance"]] = "zero"
 
 
 @dataclass(frozen=True)
 class NoiseConfig:
     """Thermal noise: sigma^2 = density times bandwidth."""
 
-    density_dbm_per_hz: float = -100.0  # N_0
-    bandwidth_hz: float = 1.0
+    density_dbm_per_hz: Annotated[float, "N_0"] = -100.0
+    bandwidth_hz: Positive = 1.0
 
 
 @dataclass(frozen=True)
 class PowerConfig:
     """Downlink power: levels P_max / 2^l for l = 1..levels."""
 
-    levels: int = 6  # N_P
-    max_dbm: float = 20.0  # P_max
-    resolve: str = "project"
-    sic_margin: float = 10.0  # rho_min in multiples of sigma^2
+    # Sums of up to 48 levels stay exact in float64.
+    levels: Annotated[int, Interval(ge=1, le=48), "N_P"] = 6
+    max_dbm: Annotated[float, Interval(ge=-60, le=60), "P_max"] = 20.0
+    resolve: Annotated[str, Literal["project", "residual", "zero"]] = "project"
+    sic_margin: Annotated[NotNegative, "rho_min in multiples of sigma^2"] = 10.0
 
 
 @dataclass(frozen=True)
 class OmaConfig:
     """Orthogonal access, Baseline 2: equal parts of band and power."""
 
-    share: str = "fixed"
+    share: Annotated[
+        str, Literal["fixed", "reallocate"], "parts of K, or of those still driving"
+    ] = "fixed"
 
 
 @dataclass(frozen=True)
 class QoeConfig:
     """Quality of experience, Baseline 3: eta_k = C_1 lg(R_k) + C_2."""
 
-    scale: float = 1.0  # C_1
-    offset: float = 0.0  # C_2
-    floor: float = 0.01  # least R_k in bit/s/Hz
+    scale: Annotated[Positive, "C_1"] = 1.0
+    offset: Annotated[float, "C_2"] = 0.0
+    floor: Annotated[Positive, "least R_k in bit/s/Hz"] = 0.01
 
 
 @dataclass(frozen=True)
 class StateConfig:
     """What agents observe beyond the paper's position and direct channel."""
 
-    destination: str = "offset"
+    destination: Annotated[str, Literal["offset", "none"], "none is the paper to the letter"] = (
+        "offset"
+    )
 
 
 @dataclass(frozen=True)
 class RewardConfig:
     """Weights of the robots' and the access point's rewards, and which reward robots get."""
 
-    model: str = "paper"
-    rate: float = 0.05  # phi
-    guidance: float = 3.0  # psi
-    distance: str = "straight"  # d: straight, or way over the floor
-    time: float = -1.0  # R_time, Table I
-    goal: float = 100.0  # R_goal, Table I
-    sum_rate: float = 0.1  # tau_1, Table I
+    model: Annotated[str, "the robots'; or an installed package's (docs/extending.md)"] = "paper"
+    rate: Annotated[float, "phi"] = 0.05
+    guidance: Annotated[float, "psi"] = 3.0
+    distance: Annotated[
+        str, Literal["straight", "way"], "d; way is the shortest over the floor"
+    ] = "straight"
+    time: Annotated[float, "R_time, Table I"] = -1.0
+    goal: Annotated[float, "R_goal, Table I"] = 100.0
+    sum_rate: Annotated[float, "tau_1, Table I"] = 0.1
     global_offset: float = 0.0
 
 
@@ -162,12 +186,16 @@ class EnvConfig:
     and nothing reads the plan again.
     """
 
-    plan: str = "default"
-    robots: int = 3  # K
-    map_seed: int = 0
-    collisions: str = "allow"
-    access: str = "noma"
-    metric: str = "qos"
+    plan: Annotated[
+        str, "default, corridor, hall, or the path of a TOML file (docs/floor_plans.md)"
+    ] = "default"
+    robots: Annotated[int, Interval(ge=1, le=64), "K"] = 3
+    map_seed: Annotated[int, Ge(0)] = 0
+    collisions: Annotated[
+        str, Literal["allow", "block"], "block: no robot enters a cell that another holds"
+    ] = "allow"
+    access: Annotated[str, Literal["noma", "oma"], "oma is Baseline 2"] = "noma"
+    metric: Annotated[str, Literal["qos", "qoe"], "what rewards count; qoe is Baseline 3"] = "qos"
     room: RoomConfig = field(default_factory=RoomConfig)
     walls: WallsConfig = field(default_factory=WallsConfig)
     ap: AccessPointConfig = field(default_factory=AccessPointConfig)
@@ -181,58 +209,6 @@ class EnvConfig:
     qoe: QoeConfig = field(default_factory=QoeConfig)
     state: StateConfig = field(default_factory=StateConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
-
-
-MAX_ROBOTS = 64
-MAX_POWER_LEVELS = 48  # sums of the levels stay exact in float64
-MAX_PHASE_ACTIONS = 4096
-MAX_CELLS = 250_000
-MAX_PAIRS = 10**9  # of elements and cells whose distances the far and near field need
-CHOICES: dict[str, tuple[str, ...]] = {
-    "env.access": ("noma", "oma"),
-    "env.metric": ("qos", "qoe"),
-    "env.collisions": ("allow", "block"),
-    "env.oma.share": ("fixed", "reallocate"),
-    "env.tasks.destination": ("fixed", "random", "common"),
-    "env.tasks.start": ("random", "fixed"),
-    "env.ris.response": ("coherent", "far", "near", "rayleigh"),
-    "env.ris.axis": ("x", "y"),
-    "env.ris.action": ("phases", "codebook"),
-    "env.channel.fading": ("static", "none", "slot"),
-    "env.channel.los_phase": ("zero", "distance"),
-    "env.power.resolve": ("project", "residual", "zero"),
-    "env.state.destination": ("offset", "none"),
-    "env.reward.distance": ("straight", "way"),
-}
-POSITIVE = (
-    "env.room.cell_m",
-    "env.motion.speed_mps",
-    "env.motion.idle_power_w",
-    "env.channel.frequency_ghz",
-    "env.noise.bandwidth_hz",
-    "env.qoe.scale",
-    "env.qoe.floor",
-)
-NOT_NEGATIVE = (
-    "env.map_seed",
-    "env.motion.energy_per_m_j",
-    "env.motion.antenna_height_m",
-    "env.tasks.destination_spacing_m",
-    "env.tasks.start_distance_m",
-    "env.power.sic_margin",
-)
-BETWEEN: dict[str, tuple[float, float]] = {
-    "env.robots": (1, MAX_ROBOTS),
-    "env.ris.side": (0, 256),
-    "env.ris.bits": (1, 12),
-    "env.ris.subsurfaces": (1, 65536),
-    "env.ris.spacing": (0.01, 100),
-    "env.power.levels": (1, MAX_POWER_LEVELS),
-    "env.power.max_dbm": (-60, 60),
-    "env.motion.max_slots": (1, 1_000_000),
-    "env.room.width_m": (1, 1000),
-    "env.room.depth_m": (1, 1000),
-}
 
 
 def phase_actions(ris: RisConfig) -> int:

@@ -1,82 +1,25 @@
-"""What is allowed in the group ``env``, beyond the types of its schema."""
+"""The rules of the group ``env``: what depends on more than one field."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from env import lateness, mounting, plugins
-from env.config import (
-    BETWEEN,
-    CHOICES,
-    MAX_CELLS,
-    MAX_PHASE_ACTIONS,
-    NOT_NEGATIVE,
-    POSITIVE,
-    EnvConfig,
-    Problem,
-    RoomConfig,
-)
+from env import lateness, mounting, plugins, validate
+from env.config import MAX_CELLS, MAX_PHASE_ACTIONS, EnvConfig, RoomConfig
 from env.floor import Floor
 from env.reward import distance_m
 from env.ris_checks import codebook_problems, pair_problems
+from env.validate import Problem
 
 
 def problems(config: EnvConfig) -> list[Problem]:
     """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
-    found = [*_choice_problems(config), *(_finite_problems(config) or _range_problems(config))]
-    found += plugins.problems(config)
-    if not found:
-        found += [*_geometry_problems(config), *_combination_problems(config)]
-        found += pair_problems(config)
-        if config.ris.action == "codebook":
-            found += codebook_problems(config)
-    return found
-
-
-def _value(config: EnvConfig, key: str) -> Any:
-    value: Any = config
-    for name in key.split(".")[1:]:
-        value = getattr(value, name)
-    return value
-
-
-def _choice_problems(config: EnvConfig) -> list[Problem]:
-    return [
-        (key, _value(config, key), f"one of {', '.join(allowed)}")
-        for key, allowed in CHOICES.items()
-        if _value(config, key) not in allowed
-    ]
-
-
-def _finite_problems(values: Any, above: str = "env") -> list[Problem]:
-    found: list[Problem] = []
-    for item in fields(values):
-        key, value = f"{above}.{item.name}", getattr(values, item.name)
-        if is_dataclass(value):
-            found += _finite_problems(value, key)
-        elif isinstance(value, float) and not math.isfinite(value):
-            found.append((key, value, "a finite number"))
-    return found
-
-
-def _range_problems(config: EnvConfig) -> list[Problem]:
-    found: list[Problem] = []
-    for key in POSITIVE:
-        if not _value(config, key) > 0:
-            found.append((key, _value(config, key), "a number above 0"))
-    for key in NOT_NEGATIVE:
-        if not _value(config, key) >= 0:
-            found.append((key, _value(config, key), "a number of at least 0"))
-    for key, (low, high) in BETWEEN.items():
-        if not low <= _value(config, key) <= high:
-            found.append((key, _value(config, key), f"a number from {low:g} to {high:g}"))
-    return found
+    return validate.problems(config, RULES, "env.")
 
 
 def _geometry_problems(config: EnvConfig) -> list[Problem]:
@@ -248,3 +191,13 @@ def _combination_problems(config: EnvConfig) -> list[Problem]:
         )
         found.append(("env.power.levels", power.levels, allowed))
     return found
+
+
+RULES = (
+    plugins.problems,
+    _geometry_problems,
+    _combination_problems,
+    pair_problems,
+    codebook_problems,
+)
+"""Each counts on those before it."""

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env import starts
-from env.config import EnvConfig, Problem
+from env.config import EnvConfig
 from env.floor import UNREACHABLE, Floor
+from env.validate import Problem
 
 KEY = "env.motion.max_slots"
 

@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from env.config import EnvConfig, Problem
+from env.config import EnvConfig
 from env.floor import Floor, line_of_sight
+from env.validate import Problem
 
 TOUCH_M = 1e-9
 """What is no farther than that from a wall, or from the room's edge, lies on it."""

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from env.config import EnvConfig, Problem, RewardConfig
+    from env.config import EnvConfig, RewardConfig
     from env.floor import Floor
+    from env.validate import Problem
 
 Tables = tuple[NDArray[np.complex128], NDArray[np.complex128]]
 """hbar at each cell, shape (cells,), and c_n of each sub-surface at phase 0, shape (cells, N)."""

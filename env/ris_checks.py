@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from env.config import MAX_PAIRS, MAX_PHASE_ACTIONS, EnvConfig, Problem, phase_actions
+from env.config import MAX_PAIRS, MAX_PHASE_ACTIONS, EnvConfig, phase_actions
+from env.validate import Problem
 
 
 def pair_problems(config: EnvConfig) -> list[Problem]:
@@ -23,6 +24,8 @@ def pair_problems(config: EnvConfig) -> list[Problem]:
 def codebook_problems(config: EnvConfig) -> list[Problem]:
     """Whether beams can be made: from places of elements, for sectors that have cells."""
     ris, room, say = config.ris, config.room, "with env.ris.action=codebook"
+    if ris.action != "codebook":
+        return []
     if ris.response not in ("far", "near"):
         allowed = f"far or near {say}, since a beam needs elements with places"
         return [("env.ris.response", ris.response, allowed)]

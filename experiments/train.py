@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from conf import Config, ConfigError, to_yaml
+from conf import Config, ConfigError
+from conf.commented import commented_yaml
 from experiments.folders import new_folder
 from experiments.runner import ERRORS, say, train
 from experiments.sweep import train_all
@@ -22,7 +23,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         _check_flags(flags, resumes=resume.asked(overrides))
         if "--cfg" in flags:
-            print(to_yaml(checked(overrides)), end="")
+            print(commented_yaml(checked(overrides)), end="")
             return 0
         if flags:
             return train_all(overrides)

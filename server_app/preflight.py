@@ -8,7 +8,7 @@ import socket
 from collections.abc import Sequence
 
 from conf import Config, ConfigError, compose, flower_clients, from_yaml, learns_nothing
-from env.config import Problem
+from env.validate import Problem
 from server_app.strategies import problems as strategy_problems
 
 WORKERS_BEYOND_CORES = 4

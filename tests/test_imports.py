@@ -19,9 +19,9 @@ RULES = {
     "env.picture": {"env", "numpy", "matplotlib"},
     "env.parallel_env": {"env", "numpy", "gymnasium", "pettingzoo"},
     "env.single_robot": {"env", "numpy", "gymnasium", "pettingzoo"},
-    "env": {"env", "numpy"},
-    "agent": {"agent", "numpy", "torch", "safetensors", "threadpoolctl"},
-    "conf": {"conf", "agent", "env", "hydra", "omegaconf", "yaml"},
+    "env": {"env", "numpy", "annotated_types"},
+    "agent": {"agent", "numpy", "torch", "safetensors", "threadpoolctl", "annotated_types"},
+    "conf": {"conf", "agent", "env", "hydra", "omegaconf", "yaml", "annotated_types"},
     "client_app": {"client_app", "agent", "env", "conf", "flwr", "numpy"},
     "server_app": {
         "server_app", "agent", "env", "conf", "flwr", "numpy",

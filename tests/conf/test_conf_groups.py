@@ -1,4 +1,4 @@
-"""The YAML groups say what the dataclasses say, key by key."""
+"""The YAML groups choose and change; defaults stand in the schemas."""
 
 import dataclasses
 import shutil
@@ -8,9 +8,19 @@ import pytest
 from omegaconf import OmegaConf
 
 from agent.config import AgentConfig
-from conf import Config, ConfigError, StrategyConfig, compose, flower_clients, windows_per_round
+from conf import (
+    Config,
+    ConfigError,
+    StrategyConfig,
+    compose,
+    flower_clients,
+    from_yaml,
+    windows_per_round,
+)
+from conf.commented import commented_yaml
 from conf.compose import FOLDER
 from env import floor_plans
+from env.checks import planned_config
 from env.config import EnvConfig
 
 
@@ -18,31 +28,35 @@ def read(*path):
     return OmegaConf.to_container(OmegaConf.load(FOLDER.joinpath(*path)))
 
 
-@pytest.mark.parametrize(
-    ("file", "schema"),
-    [
-        ("env/default", EnvConfig()),
-        ("agent/dqn", AgentConfig()),
-    ],
-)
-def test_a_group_writes_out_its_schemas_defaults(file, schema):
-    written = OmegaConf.create(read(f"{file}.yaml"))
-    if "plan" in written:  # which gives the geometry
-        written = OmegaConf.merge({key: {} for key in ("room", "walls", "ap", "tasks")}, written)
-        plan = OmegaConf.create(floor_plans.read(written.plan))
-        both = [key for key in floor_plans.KEYS if OmegaConf.select(written, key) is not None]
-        assert not both, "a key stands in the group's file or in the plan, not in both"
-        written = OmegaConf.merge(written, plan)
-    assert OmegaConf.to_container(written) == dataclasses.asdict(schema)
+def values(node, above=""):
+    for name, value in node.items():
+        if isinstance(value, dict):
+            yield from values(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}"
 
 
-def test_the_main_file_writes_out_the_schemas_defaults():
-    written = read("config.yaml")
-    chosen = {key for item in written.pop("defaults") if isinstance(item, dict) for key in item}
-    assert chosen == {"env", "agent", "strategy", "runtime", "baseline", "experiment"}
-    groups = ("env", "agent", "strategy", "runtime")
-    expected = {k: v for k, v in dataclasses.asdict(Config()).items() if k not in groups}
-    assert written == expected
+def test_defaults_stand_in_the_schemas_alone():
+    chosen = read("config.yaml")
+    groups = {key for item in chosen.pop("defaults") if isinstance(item, dict) for key in item}
+    assert groups == {"env", "agent", "strategy", "runtime", "baseline", "experiment"}
+    assert chosen == {}
+    assert read("env", "default.yaml") == read("agent", "dqn.yaml") == {}
+
+
+def test_the_default_plan_sets_what_a_plan_may_and_says_what_the_schema_says():
+    written = floor_plans.read("default")
+    assert set(values(written)) == set(floor_plans.KEYS)
+    assert dataclasses.asdict(planned_config("default")) == dataclasses.asdict(EnvConfig())
+
+
+def test_the_commented_configuration_is_the_configuration():
+    config = compose(["env.robots=2", "train.max_ticks=9", "env.plan=hall", "strategy=krum",
+                      "env.robots=5"])  # fmt: skip
+    text = commented_yaml(config)
+    assert from_yaml(text) == config
+    assert "  robots: 5 # K\n" in text
+    assert "fading: static # one of static, none, slot; of the direct channel" in text
 
 
 @pytest.mark.parametrize("group", ["strategy", "runtime"])
@@ -101,7 +115,8 @@ def test_a_groups_file_of_ones_own_is_read_or_named(monkeypatch, tmp_path, conte
     folder = shutil.copytree(FOLDER, tmp_path / "conf")
     path = folder / "experiment" / "mine.yaml"
     path.write_bytes(content)
-    monkeypatch.setattr(sys.modules["conf.compose"], "FOLDER", folder)
+    for module in ("conf.compose", "conf.overrides"):
+        monkeypatch.setattr(sys.modules[module], "FOLDER", folder)
     if said is None:
         assert compose(["experiment=mine"]).env.robots == 2
     else:

@@ -201,7 +201,7 @@ MISTAKES = [
     ("[room.width_m]\nm = 3\n", "room.width_m.m=3: allowed keys are "),
     ("[room]\nwidth_m = 'wide'\n", "env.room.width_m='wide': allowed is a number"),
     ("[motion]\nmax_slots = 1.5\n", "env.motion.max_slots=1.5: allowed is a whole number"),
-    ("[walls]\nblock_motion = 1\n", "env.walls.block_motion=1: allowed is True or False"),
+    ("[walls]\nblock_motion = 1\n", "env.walls.block_motion=1: allowed is true or false"),
     ("[walls]\nsegments = 1\n", "env.walls.segments=1: allowed is a list"),
     ("[ris]\naxis = 1\n", "env.ris.axis=1: allowed is a word"),
 ]
@@ -228,7 +228,7 @@ def test_a_mistake_in_a_plan_names_file_key_and_what_is_allowed(own, capsys, tex
     [
         ("[ap]\nposition_m = [1, 2]\n", "env.ap.position_m=[1.0,2.0]: allowed is [x, y, z] in m"),
         ("[walls]\nsegments = [[0, 0]]\n", "env.walls.segments=[0,0]: allowed is segments"),
-        ("[ris]\naxis = 'z'\n", "env.ris.axis=z: allowed is one of x, y"),
+        ("[ris]\naxis = 'z'\n", "env.plan=plans/mine.toml: env.ris.axis='z': allowed is x or y"),
     ],
 )
 def test_a_wrong_value_in_a_plan_is_named_as_anywhere_else(own, text, part):

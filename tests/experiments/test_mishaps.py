@@ -202,7 +202,7 @@ def test_a_display_that_cannot_start_is_left_out(
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", refuse)
-    with display.Display([Path("run")], Console()):
+    with display.Display(Path("run"), Console()):
         pass
     assert "no progress is shown" in capsys.readouterr().err
 
