@@ -27,7 +27,7 @@ from benchmarks.clients import SPAN, Clients, Mode, connected_clients
 from benchmarks.local import ServerSide, configured
 from benchmarks.result import Result, Target
 from conf import Config, robot_network
-from env import actions
+from env.actions import ActionSpace
 from env.link import UPDATE, Flag, Fleet, LinkServer, Want
 
 TARGET = Target(0.02, at_least=False)
@@ -80,7 +80,7 @@ class MadeUp:
 
     def __init__(self, config: Config) -> None:
         rng = np.random.default_rng(0)
-        robots, count = config.env.robots, actions.count(config.env.power.levels)
+        robots, count = config.env.robots, ActionSpace.from_config(config.env).count
         self._moves = rng.integers(count, size=(1024, robots)).astype(np.int32)
         size = (robots, 2, robot_network(config).parameters)
         self._weights = rng.normal(size=size).astype(np.float32)

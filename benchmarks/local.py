@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from client_app.robots import RobotGroup
 from conf import Config, compose, robot_network, robots_learn
-from env.destinations import draw_destinations
 from env.link import Fleet
-from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures
 from env.world import World
@@ -79,10 +78,8 @@ class ServerSide:
         agent: CentralAgent | None = None,
     ) -> None:
         self._config, self._fleet, self._keep = config, fleet, keep
-        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-        radio_map = build_radio_map(config.env)
-        generator = stream(config.seed, Stream.WORLD)
-        self.world = World(config.env, destinations, generator, 1, radio_map)
+        scenario = Scenario.drawn(config.env, config.seed)
+        self.world = World(scenario, stream(config.seed, Stream.WORLD))
         self.ap = agent or AccessPoint(config)
         self._model = initial_weights(config)
         self.waited_s = 0.0

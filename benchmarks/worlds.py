@@ -10,10 +10,9 @@ import numpy as np
 from agent import single_threaded
 from benchmarks.result import Result, Target, micro, take_turns
 from conf import compose
-from env import actions
 from env.config import EnvConfig
-from env.destinations import draw_destinations
-from env.radio_map import RadioMap, build_radio_map
+from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 
@@ -35,13 +34,12 @@ CODEBOOK = f"{MAP}; with a codebook of 6 x 6 beams"
 class Walk:
     """Worlds under random actions, begun anew once every episode has ended."""
 
-    def __init__(self, config: EnvConfig, radio_map: RadioMap, worlds: int) -> None:
-        destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-        self._world = World(config, destinations, stream(0, Stream.WORLD), worlds, radio_map)
-        levels, self._tick = config.power.levels, 0
+    def __init__(self, scenario: Scenario, worlds: int) -> None:
+        self._world = World(scenario, stream(0, Stream.WORLD), worlds)
+        space, self._tick = scenario.actions, 0
         rng = np.random.default_rng(0)
-        chosen = rng.integers(actions.count(levels), size=(MADE, worlds, config.robots))
-        self._moves = [*zip(*actions.decode(chosen, levels), strict=True)]
+        chosen = rng.integers(space.count, size=(MADE, worlds, self._world.robots))
+        self._moves = [*zip(*space.decode(chosen), strict=True)]
         self._phases = rng.integers(self._world.phase_actions, size=(MADE, worlds))
         self._world.reset()
 
@@ -79,12 +77,11 @@ def worlds(*, quick: bool = False) -> list[Result]:
     """Measures the three results whose names begin with ``world_``."""
     single_threaded()
     steps, blocks = (100, 3) if quick else (500, 15)
-    config = compose().env
-    radio_map = build_radio_map(config)
+    scenario = Scenario.drawn(compose().env, 0)
     variants = {
-        "world": Walk(config, radio_map, 1),
+        "world": Walk(scenario, 1),
         "cartpole": CartPole(),
-        "batch": Walk(config, radio_map, BATCH),
+        "batch": Walk(scenario, BATCH),
     }
     for variant in variants.values():
         variant(200 if quick else 2000)  # the projections that are met most are then remembered
@@ -104,7 +101,7 @@ def worlds(*, quick: bool = False) -> list[Result]:
         Result.over(
             "world_batch_256_vs_1", gain, "ratio", BATCHED, Target(20, at_least=True), micros
         ),
-        *_maps(config, 100_000 * float(np.median(taken["cartpole"])), 3 if quick else 9),
+        *_maps(scenario.config, 100_000 * float(np.median(taken["cartpole"])), 3 if quick else 9),
     ]
 
 

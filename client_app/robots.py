@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from agent import DQN, epsilon_at
 from client_app.sanity import check_model, check_rewards, check_told
 from conf import Config, robot_network
-from env.destinations import draw_destinations
 from env.link import Flag, Step, Want
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.slice import Slice
 
@@ -41,8 +41,7 @@ class RobotGroup:
     def __init__(self, config: Config, robots: Sequence[int]) -> None:
         self.robots, self.run = tuple(robots), config.run.id
         self._epsilon = config.agent.epsilon
-        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-        self._slice = Slice(config.env, destinations[list(robots)])
+        self._slice = Slice(Scenario.drawn(config.env, config.seed).of(robots))
         self.agents = DQN(
             robot_network(config),
             config.agent,

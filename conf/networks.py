@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agent import Heads, NetworkShape
 from conf.schema import Config
-from env import actions
+from env.actions import ActionSpace
 from env.config import phase_actions
 from env.observation import Observer
 
@@ -14,7 +14,7 @@ def robot_network(config: Config) -> NetworkShape:
     return NetworkShape(
         Observer(config.env).local_size,
         tuple(config.agent.hidden),
-        actions.count(config.env.power.levels),
+        ActionSpace.from_config(config.env).count,
         config.agent.dueling,
     )
 
@@ -37,7 +37,7 @@ def ap_network(config: Config) -> NetworkShape:
 def joint_actions(config: Config) -> int:
     """The actions of all agents taken together, N_R^N (4 N_P)^K."""
     env = config.env
-    return actions.joint_count(phase_actions(env.ris), env.robots, env.power.levels)
+    return ActionSpace.from_config(env).joint_count(phase_actions(env.ris), env.robots)
 
 
 def central_heads(config: Config) -> Heads:
@@ -48,7 +48,7 @@ def central_heads(config: Config) -> Heads:
     env, discount = config.env, config.agent.discount
     shared = config.scheme.heads == "shared"
     return Heads(
-        (phase_actions(env.ris), *[actions.count(env.power.levels)] * env.robots),
+        (phase_actions(env.ris), *[ActionSpace.from_config(env).count] * env.robots),
         (discount.robot if shared else discount.ap, *[discount.robot] * env.robots),
         shared,
     )

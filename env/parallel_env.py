@@ -10,12 +10,11 @@ from gymnasium import logger, spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
-from env import actions as robot_actions
 from env import lateness
 from env.checks import checked_config, refuse
 from env.config import EnvConfig
-from env.destinations import draw_destinations
 from env.floor import UNREACHABLE
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import Outcome, World
 
@@ -138,9 +137,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
             raise ValueError(f"render_mode={render_mode!r}: allowed is None, {', '.join(modes)}")
         self.config = checked_config(config)
         self.render_mode = render_mode
-        destinations = draw_destinations(self.config, stream(seed, Stream.DESTINATIONS))
-        refuse(lateness.problems(self.config, destinations))
-        self.world = World(self.config, destinations, stream(seed, Stream.WORLD))
+        scenario = Scenario.drawn(self.config, seed)
+        refuse(lateness.problems(self.config, scenario.destinations))
+        self.world = World(scenario, stream(seed, Stream.WORLD))
         self.robots = [f"robot_{k}" for k in range(self.world.robots)]
         self.possible_agents = [*self.robots, AP]
         self.agents: list[str] = []
@@ -158,7 +157,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         high = np.array((unit * 2 + channel + unit * 3 + offset) * world.robots, dtype=np.float32)
         low = -high
         low[5 :: len(high) // world.robots] = 0.0
-        actions = robot_actions.count(self.config.power.levels)
+        actions = world.scenario.actions.count
         self.observation_spaces: dict[str, spaces.Box[np.float32]] = {
             name: spaces.Box(-local, local, dtype=np.float32) for name in self.robots
         }
@@ -233,7 +232,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         picks = np.array([[self._action(name, actions) for name in self.robots]])
         phase = np.array([self._action(AP, actions)])
         channel = self.world.channel(phase)[0]
-        outcome = self.world.step(phase, *robot_actions.decode(picks, self.config.power.levels))
+        outcome = self.world.step(phase, *self.world.scenario.actions.decode(picks))
         self._way.append(self.world.cell[0])
         self._outcome = outcome
         ended = dict(zip(self.robots, outcome.arrived[0].tolist(), strict=True))

@@ -91,9 +91,14 @@ def _squared(channel: NDArray[np.complex128]) -> NDArray[np.float64]:
     return np.asarray(channel.real**2 + channel.imag**2)
 
 
-def build_radio_map(config: EnvConfig) -> RadioMap:
-    """Builds the tables of a configuration from its ``map_seed``."""
-    floor = Floor.from_config(config)
+def build_radio_map(config: EnvConfig, floor: Floor | None = None) -> RadioMap:
+    """Builds the tables of a configuration from its ``map_seed``.
+
+    Args:
+        config: the environment.
+        floor: its floor; made if None.
+    """
+    floor = floor or Floor.from_config(config)
     centres = floor.centres()
     at = np.column_stack([centres, np.full(len(centres), config.motion.antenna_height_m)])
     direct_los = mounting.sees(floor, config.ap.position_m, centres)
@@ -101,7 +106,7 @@ def build_radio_map(config: EnvConfig) -> RadioMap:
     own = plugins.own_channel(config, floor)
     direct, reflected = own or (
         _direct(config, at, direct_los),
-        _reflected(config, at, ris_los),
+        _reflected(config, floor, at, ris_los),
     )
     return RadioMap(
         direct=direct,
@@ -139,19 +144,18 @@ def _direct(
 
 
 def _reflected(
-    config: EnvConfig, at: NDArray[np.float64], los: NDArray[np.bool_]
+    config: EnvConfig, floor: Floor, at: NDArray[np.float64], los: NDArray[np.bool_]
 ) -> NDArray[np.complex128]:
     """c_n at points in m, shape (P, N), or c under each beam, shape (P, beams)."""
     ap, ris = np.asarray(config.ap.position_m), np.asarray(config.ris.position_m)
     frequency = config.channel.frequency_ghz
-    feed_los = mounting.see_each_other(
-        Floor.from_config(config), config.ris.position_m, config.ap.position_m
-    )
+    feed_los = mounting.see_each_other(floor, config.ris.position_m, config.ap.position_m)
     feed_m, distance_m = _distance(ap[None], ris), _distance(at, ris)
     incoming = propagation.path_loss_db(feed_m, frequency, feed_los)
     outgoing = propagation.path_loss_db(distance_m, frequency, los)
     reflected = _response(
         config,
+        floor,
         float(propagation.amplitude(incoming)[0]),
         propagation.amplitude(outgoing),
         ap - ris,
@@ -165,6 +169,7 @@ def _reflected(
 
 def _response(
     config: EnvConfig,
+    floor: Floor,
     incoming: float,
     outgoing: NDArray[np.float64],
     ap_m: NDArray[np.float64],
@@ -182,7 +187,7 @@ def _response(
         )
     if ris.action == "codebook":
         panel = codebook.Panel.from_config(config)
-        sector = codebook.sector_of_cells(Floor.from_config(config), *ris.sectors)
+        sector = codebook.sector_of_cells(floor, *ris.sectors)
         index = codebook.beams(panel, points_m, sector, ris.bits)
         return incoming * outgoing[:, None] * codebook.factors(panel, points_m, index, ris.bits)
     far = ris.response == "far"

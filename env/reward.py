@@ -59,13 +59,40 @@ def local_reward(
     return weights.rate * rate + guidance + weights.time + np.where(arrived, weights.goal, 0.0)
 
 
-def robots_reward(config: EnvConfig) -> plugins.Reward:
-    """The function that makes robots' rewards: ``local_reward``, or the user's own.
+class RewardFunction:
+    """The rewards of an environment, the same on the world's side and on the robots'.
+
+    Args:
+        config: the environment; ``reward``, ``metric`` and ``qoe`` are read.
 
     Raises:
         ValueError: ``env.reward.model`` names none.
     """
-    return plugins.own_reward(config) or local_reward
+
+    def __init__(self, config: EnvConfig) -> None:
+        self._config = config
+        self._local = plugins.own_reward(config) or local_reward
+
+    def local(
+        self,
+        rate: NDArray[np.float64],
+        before_m: NDArray[np.float64],
+        after_m: NDArray[np.float64],
+        arrived: NDArray[np.bool_],
+    ) -> NDArray[np.float64]:
+        """r_L: ``local_reward``, or the user's own; arguments as there, ``rate`` as R_k."""
+        counted = metric(rate, self._config)
+        return self._local(counted, before_m, after_m, arrived, self._config.reward)
+
+    def of_all(self, rate: NDArray[np.float64], drove: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """r_G of the robots that drove, ``global_reward``; both of shape (..., K)."""
+        counted = only(drove, metric(rate, self._config))
+        return global_reward(counted.sum(axis=-1), self._config.reward)
+
+
+def only(who: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The values of some, and 0 for all others; same shape, the array itself where all count."""
+    return values if np.count_nonzero(who) == who.size else np.where(who, values, 0.0)
 
 
 def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArray[np.float64]:

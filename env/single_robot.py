@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from env import actions, oracles
+from env import oracles
 from env.checks import checked_config
 from env.config import EnvConfig
 from env.parallel_env import AP, Infos, RISFleetParallelEnv
@@ -155,13 +155,14 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def _others_and_phase(self, action: np.int64) -> dict[str, Any]:
         """Everybody's actions: the robot's own, and those of the oracles given that."""
-        world, levels = self._fleet.world, self.config.power.levels
+        world = self._fleet.world
+        space = world.scenario.actions
         gain = oracles.phase_gains(world)
-        level = oracles.canonical_levels(gain, world.driving[:, None], levels)
-        level[..., 0] = actions.decode(np.asarray(action), levels)[1]
+        level = oracles.canonical_levels(gain, world.driving[:, None], space.levels)
+        level[..., 0] = space.decode(np.asarray(action))[1]
         phase = int(oracles.best_phase(world, level)[0])
         direction = oracles.shortest_directions(world)
-        codes = actions.encode(direction, level[:, phase], levels)[0]
+        codes = space.encode(direction, level[:, phase])[0]
         others = zip(self._fleet.robots[1:], codes[1:], strict=True)
         return {ROBOT: action, AP: phase, **dict(others)}
 

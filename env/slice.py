@@ -9,30 +9,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from env import guidance, reward
-from env.config import EnvConfig
-from env.floor import Floor
-from env.observation import CHANNEL, Observer, scaled_channel
+from env.observation import CHANNEL, scaled_channel
+from env.scenario import Scenario
 
 
 class Slice:
     """The slices of n robots.
 
     Args:
-        config: the environment.
-        destinations: the cell that each of these robots is going to, shape (n,).
+        scenario: of these robots alone (``Scenario.of``).
 
     Attributes:
         cells: how many the floor has.
         observation_size: of s_L.
     """
 
-    def __init__(self, config: EnvConfig, destinations: NDArray[np.int64]) -> None:
-        observer = Observer(config)
-        self._config = config
-        self._reward = reward.robots_reward(config)
-        floor = Floor.from_config(config)
-        self._distance_m = guidance.distances_m(floor, destinations, config.reward.distance)
+    def __init__(self, scenario: Scenario) -> None:
+        observer, destinations = scenario.observer, scenario.destinations
+        self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
         self._robot = np.arange(len(destinations))
         self.cells = len(self._distance_m)
         self.observation_size = observer.local_size
@@ -68,5 +62,4 @@ class Slice:
         """
         before = self._distance_m[left, self._robot]
         after = self._distance_m[reached, self._robot]
-        counted = reward.metric(rate, self._config)
-        return self._reward(counted, before, after, arrived, self._config.reward)
+        return self._rewards.local(rate, before, after, arrived)

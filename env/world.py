@@ -8,13 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from env import collisions, guidance, reward, starts
+from env import collisions, starts
 from env.allocation import Allocation, Downlink
-from env.config import EnvConfig, phase_actions
-from env.floor import Floor
-from env.observation import Observer
+from env.config import phase_actions
 from env.propagation import small_scale_fading
-from env.radio_map import RadioMap, build_radio_map
+from env.reward import only
+from env.scenario import Scenario
 
 
 class Outcome(NamedTuple):
@@ -59,13 +58,12 @@ class World:
     Nothing resets by itself: where an outcome is truncated, the caller ends the episode.
 
     Args:
-        config: the environment.
-        destinations: the cell that each robot is going to, shape (K,).
+        scenario: all that stays as it is.
         generator: the source of starts.
         worlds: B, until ``reset`` is given starts for another number.
-        radio_map: tables to use; built from the configuration if None.
 
     Attributes:
+        scenario: the same; ``config``, ``floor``, ``destinations`` and ``radio_map`` are its.
         cell: where the robots are, shape (B, K).
         driving: which robots are driving, shape (B, K).
         slot: slots since the episode began, shape (B,).
@@ -74,32 +72,18 @@ class World:
             where solid walls leave no way, shape (cells, K).
     """
 
-    def __init__(
-        self,
-        config: EnvConfig,
-        destinations: NDArray[np.int64],
-        generator: np.random.Generator,
-        worlds: int = 1,
-        radio_map: RadioMap | None = None,
-    ) -> None:
-        self.config = config
-        self.floor = Floor.from_config(config)
-        self.radio_map = radio_map or build_radio_map(config)
-        self.downlink = Downlink(config)
-        self.observer = Observer(config)
-        self._reward = reward.robots_reward(config)
-        self.destinations = destinations
-        self.generator = generator
-        self.slot_s = config.room.cell_m / config.motion.speed_mps
-        self.next_cell = self.floor.neighbours()
-        self.slots_to_go = self.floor.slots_to(destinations)
-        along = config.reward.distance
-        self._distance_m = guidance.distances_m(self.floor, destinations, along)
-        self._starts = starts.start_cells(config, self.floor, destinations)
-        self._fixed_starts = starts.fixed_starts(config, self.floor)
-        self._robot = np.arange(len(destinations))
+    def __init__(self, scenario: Scenario, generator: np.random.Generator, worlds: int = 1) -> None:
+        self.scenario, self.generator = scenario, generator
+        self.config, self.floor = scenario.config, scenario.floor
+        self.destinations, self.radio_map = scenario.destinations, scenario.radio_map
+        self.observer, self.slot_s = scenario.observer, scenario.slot_s
+        self.next_cell, self.slots_to_go = scenario.next_cell, scenario.slots_to_go
+        self.downlink = Downlink(self.config)
+        self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
+        self._starts, self._fixed_starts = scenario.start_cells, scenario.fixed_starts
+        self._robot = np.arange(len(self.destinations))
         self._seen = self._tabulate()
-        shape = (worlds, len(destinations))
+        shape = (worlds, self.robots)
         self.cell = np.zeros(shape, dtype=np.int64)
         self.driving = np.zeros(shape, dtype=bool)
         self.slot = np.zeros(worlds, dtype=np.int64)
@@ -271,23 +255,14 @@ class World:
         self._draw_fading()
         terminated = np.asarray(~self.driving.any(axis=-1))
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
-        weights = self.config.reward
-        counted = reward.metric(allocation.rate, self.config)
-        local = self._reward(counted, before_m, after_m, arrived, weights)
+        local = self._rewards.local(allocation.rate, before_m, after_m, arrived)
         return Outcome(
             rate=allocation.rate,
-            local_reward=_only(drove, local),
-            global_reward=_only(
-                running, reward.global_reward(_only(drove, counted).sum(axis=-1), weights)
-            ),
+            local_reward=only(drove, local),
+            global_reward=only(running, self._rewards.of_all(allocation.rate, drove)),
             drove=drove,
             arrived=arrived,
             terminated=terminated,
             truncated=truncated,
             allocation=allocation,
         )
-
-
-def _only(who: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The values of some, and 0 for all others; same shape, the array itself where all count."""
-    return values if np.count_nonzero(who) == who.size else np.where(who, values, 0.0)

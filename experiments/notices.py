@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 from conf import Config
 from env import lateness, mounting
-from env.config import EnvConfig
-from env.destinations import draw_destinations
-from env.floor import Floor
-from env.seeding import Stream, stream
+from env.scenario import Scenario
 
 
 def show(config: Config, console: Console) -> None:
@@ -22,13 +17,14 @@ def show(config: Config, console: Console) -> None:
 
 def notices(config: Config) -> list[str]:
     """What is worth a look in a checked configuration, a sentence each; most have nothing."""
-    destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-    return [*_late(config.env, destinations), *_unseen(config.env), *_outside(config.env)]
+    scenario = Scenario.drawn(config.env, config.seed)
+    return [*_late(scenario), *_unseen(scenario), *_outside(scenario)]
 
 
-def _late(config: EnvConfig, destinations: NDArray[np.int64]) -> list[str]:
+def _late(scenario: Scenario) -> list[str]:
     """The starts from which no robot can arrive."""
-    share = lateness.late_share(config, destinations)
+    config = scenario.config
+    share = lateness.late_share(config, scenario.destinations)
     if not share:
         return []
     shown = "under 1" if share < 0.01 else f"{100 * share:.0f}"
@@ -38,9 +34,9 @@ def _late(config: EnvConfig, destinations: NDArray[np.int64]) -> list[str]:
     return [f"{lateness.KEY}={config.motion.max_slots}: {shown} % {say}."]
 
 
-def _unseen(config: EnvConfig) -> list[str]:
+def _unseen(scenario: Scenario) -> list[str]:
     """An AP or an RIS behind walls from everything."""
-    floor = Floor.from_config(config)
+    config, floor = scenario.config, scenario.floor
     reached = floor.centres()[floor.drivable()]
     ap, ris, found = config.ap.position_m, config.ris.position_m, []
     devices = [("env.ap", "the AP", ap), ("env.ris", "the RIS", ris)][: 2 if config.ris.side else 1]
@@ -53,10 +49,9 @@ def _unseen(config: EnvConfig) -> list[str]:
     return found
 
 
-def _outside(config: EnvConfig) -> list[str]:
+def _outside(scenario: Scenario) -> list[str]:
     """Walls beyond the room, which do nothing."""
-    size_m = np.array([config.room.width_m, config.room.depth_m])
-    ends = Floor.from_config(config).walls.reshape(-1, 2, 2)
+    size_m, ends = scenario.floor.size_m, scenario.floor.walls.reshape(-1, 2, 2)
     beyond = ((ends < 0).all(axis=1) | (ends > size_m).all(axis=1)).any(axis=-1)
     if not beyond.any():
         return []

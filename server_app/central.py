@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from agent import DQN, NO_ACTION, BranchingDQN, epsilon_at
 from conf import Config, central_heads
-from env import actions
+from env.actions import ActionSpace
 from env.link import Flag, Want
 from env.world import Outcome
 from server_app.access_point import NetworkAgent
@@ -109,9 +109,8 @@ class JointAgent(CentralAgent):
     def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
         env = self._config.env
         self._joint = self.agent.act(state, epsilon, np.ones(1, dtype=bool))
-        phase, orders = actions.joint_decode(
-            self._joint.astype(np.int64), env.robots, env.power.levels
-        )
+        space = ActionSpace.from_config(env)
+        phase, orders = space.joint_decode(self._joint.astype(np.int64), env.robots)
         return int(phase[0]), orders[0].astype(np.int32)
 
     def learn(

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from agent import generator_state, restore_generator
 from conf import Config
-from env import actions
 from env.link import UPDATE, Flag, Fleet, Want
 from env.tally import EpisodeTally
 from env.world import Outcome, World
@@ -153,13 +152,14 @@ class Coordinator:
         began = time.perf_counter()
         chosen = self._fleet.actions(self.progress.tick).astype(np.int64)
         self.waited_s += time.perf_counter() - began
-        most = actions.count(self._config.env.power.levels) - 1
+        space = self._world.scenario.actions
+        most = space.count - 1
         for robot, action in enumerate(chosen.tolist()):
             if not -1 <= action <= most:
                 raise ValueError(
                     f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
                 )
-        return actions.decode(chosen[None], self._config.env.power.levels)
+        return space.decode(chosen[None])
 
     def _pass_on(
         self, window: int, phase: NDArray[np.int64], outcome: Outcome, *, last: bool

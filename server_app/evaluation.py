@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config
-from env.destinations import draw_destinations
-from env.radio_map import RadioMap
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.tally import EpisodeMeasures, EpisodeTally
 from env.world import World
@@ -28,7 +27,7 @@ class Evaluator:
 
     Args:
         config: the run's configuration.
-        radio_map: tables to share; built if None.
+        scenario: the run's, to share; made if None.
         episodes: how many; ``config.evaluation.episodes`` if None.
         starts_seed: seed of the evaluation stream, the run's if None; destinations stay the run's.
 
@@ -40,15 +39,14 @@ class Evaluator:
     def __init__(
         self,
         config: Config,
-        radio_map: RadioMap | None = None,
+        scenario: Scenario | None = None,
         episodes: int | None = None,
         starts_seed: int | None = None,
     ) -> None:
         self.episodes = episodes or config.evaluation.episodes
         self._seed = config.seed if starts_seed is None else starts_seed
-        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-        generator = stream(self._seed, Stream.EVALUATION)
-        self.world = World(config.env, destinations, generator, self.episodes, radio_map)
+        scenario = scenario or Scenario.drawn(config.env, config.seed)
+        self.world = World(scenario, stream(self._seed, Stream.EVALUATION), self.episodes)
         self.starts = self.world.draw_starts(self.episodes)
         self._policy = frozen_policy(config, self.world)
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from agent import NetworkShape, q_values
 from conf import Config, ap_network, central_heads, robot_network
-from env import actions, oracles
+from env import oracles
+from env.actions import ActionSpace
 from env.seeding import Stream, stream
 from env.world import World
 from server_app.phase_rules import fixed_phase
@@ -86,14 +87,14 @@ class _Robots:
 
     def __init__(self, config: Config) -> None:
         self._shape = robot_network(config)
-        self._levels = config.env.power.levels
+        self._actions = ActionSpace.from_config(config.env)
 
     def __call__(
         self, local: NDArray[np.float32], weights: NDArray[np.float32], exploration: Exploration
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Directions and power levels for states (B, K, local_size)."""
         action = exploration(self._best(local, weights), self._shape.actions)
-        return actions.decode(action, self._levels)
+        return self._actions.decode(action)
 
     def _best(self, local: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.int64]:
         """Greedy actions, shape (B, K)."""
@@ -162,13 +163,13 @@ class _Joint:
 
     def __init__(self, config: Config) -> None:
         self._shape = ap_network(config)
-        self._counts = config.env.robots, config.env.power.levels
+        self._robots, self._actions = config.env.robots, ActionSpace.from_config(config.env)
 
     def __call__(self, world: World, weights: Weights, exploration: Exploration) -> Decision:
         values = _values(self._shape, weights.ap, world.global_observation())
         joint = exploration(np.asarray(values.argmax(axis=-1)), self._shape.actions)
-        phase, robots = actions.joint_decode(joint, *self._counts)
-        return Decision(phase, *actions.decode(robots, self._counts[1]))
+        phase, robots = self._actions.joint_decode(joint, self._robots)
+        return Decision(phase, *self._actions.decode(robots))
 
 
 class _Heads:
@@ -176,14 +177,14 @@ class _Heads:
 
     def __init__(self, config: Config) -> None:
         self._shape, self._heads = ap_network(config), central_heads(config)
-        self._levels = config.env.power.levels
+        self._actions = ActionSpace.from_config(config.env)
 
     def __call__(self, world: World, weights: Weights, exploration: Exploration) -> Decision:
         values = _values(self._shape, weights.ap, world.global_observation())
         best, (phases, robots) = self._heads.best(values), self._heads.sizes[:2]
         phase = exploration(best[:, 0].copy(), phases)
         action = exploration(best[:, 1:].copy(), robots)
-        return Decision(phase, *actions.decode(action, self._levels))
+        return Decision(phase, *self._actions.decode(action))
 
 
 def _values(

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from agent import Writer, digest, single_threaded
 from conf import Config, fingerprint, robot_network, robots_learn, version
 from conf.places import STATE, owner
-from env.destinations import draw_destinations
 from env.link import Fleet
-from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 from server_app.checkpoint import Checkpoint, save_server
@@ -67,13 +66,10 @@ class Session:
         self._writer = Writer()
         self._began = time.perf_counter() - spent["wall_s"]
         self._cpu_before = time.process_time() - spent["cpu_s"]
-        self.radio_map = build_radio_map(config.env)
-        self.destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-        self.world = World(
-            config.env, self.destinations, stream(config.seed, Stream.WORLD), 1, self.radio_map
-        )
+        scenario = Scenario.drawn(config.env, config.seed)
+        self.world = World(scenario, stream(config.seed, Stream.WORLD))
         self.ap = build_phase_agent(config, self.world)
-        self.evaluator = Evaluator(config, self.radio_map)
+        self.evaluator = Evaluator(config, scenario)
         marks = None if resumed is None else resumed.meta["marks"]
         self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s, marks)
 

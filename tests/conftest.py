@@ -127,7 +127,7 @@ def play() -> Callable[..., Played]:
         stop: Callable[[], bool] = lambda: False,
     ) -> Played:
         from conf import robot_network
-        from env.destinations import draw_destinations
+        from env.scenario import Scenario
         from env.seeding import Stream, stream
         from env.world import World
         from server_app.access_point import AccessPoint
@@ -138,8 +138,8 @@ def play() -> Callable[..., Played]:
         initial = np.stack([first, first])
         if fleet is None:
             fleet = _local_fleet(config, blocks or [tuple(range(config.env.robots))], initial)
-        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-        world = World(config.env, destinations, stream(config.seed, Stream.WORLD))
+        scenario = Scenario.drawn(config.env, config.seed)
+        world = World(scenario, stream(config.seed, Stream.WORLD))
         ap, watcher = AccessPoint(config), Watcher()
         aggregator = build_aggregator(config.strategy, config.env.robots)
         run = Coordinator(config, world, ap, fleet, aggregator, watcher, stop)

@@ -138,9 +138,9 @@ def test_the_physics_needs_nothing_but_numpy():
     program = (
         f"import sys; sys.modules.update(dict.fromkeys({hidden!r}))\n"
         f"import {', '.join(PHYSICS)}\n"
-        "config = env.world.EnvConfig()\n"
-        "world = env.world.World(config, env.oracles.np.array([5, 9, 14]),"
-        " env.seeding.stream(0, env.seeding.Stream.WORLD))\n"
+        "config = env.config.EnvConfig()\n"
+        "scenario = env.scenario.Scenario.drawn(config, 0)\n"
+        "world = env.world.World(scenario, env.seeding.stream(0, env.seeding.Stream.WORLD))\n"
         "world.reset(); print(world.driving.all())\n"
     )
     done = subprocess.run(

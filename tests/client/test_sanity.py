@@ -97,7 +97,7 @@ def test_a_reward_that_is_not_finite_is_named(
     def broken(rate: NDArray[np.float64], *rest: Any) -> NDArray[np.float64]:
         return np.where(np.arange(len(rate)) == 0, np.inf, reward.local_reward(rate, *rest))
 
-    monkeypatch.setattr(group._slice, "_reward", broken)
+    monkeypatch.setattr(group._slice._rewards, "_local", broken)
     with pytest.raises(ValueError, match="tick 5: the reward of robot 3 is inf"):
         group.step(told(5))
     np.testing.assert_array_equal(group.upload(), before)
@@ -106,7 +106,7 @@ def test_a_reward_that_is_not_finite_is_named(
 def test_only_a_reward_that_is_learned_from_counts(
     group: RobotGroup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(group._slice, "_reward", lambda rate, *_: np.array([0.5, np.nan]))
+    monkeypatch.setattr(group._slice._rewards, "_local", lambda rate, *_: np.array([0.5, np.nan]))
     assert group.step(told(1, flags=0)) is not None
 
 

@@ -19,6 +19,7 @@ from env.destinations import draw_destinations
 from env.floor import Floor
 from env.parallel_env import RISFleetParallelEnv
 from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.single_robot import SingleRobotEnv
 from env.world import World
@@ -84,7 +85,7 @@ def test_a_new_plan_changes_the_geometry_alone(name):
 def test_robots_of_a_new_plan_have_ways_that_they_can_drive_in_time(name, robots):
     config = checked_config({"plan": name, "robots": robots, "collisions": "block"})
     goals = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    world = World(config, goals, stream(0, Stream.WORLD), worlds=500)
+    world = World(Scenario(config, goals), stream(0, Stream.WORLD), worlds=500)
     world.reset()
     assert world.shortest_slots.max() < config.motion.max_slots
     drivable = world.floor.drivable()

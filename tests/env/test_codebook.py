@@ -24,6 +24,7 @@ from env.oracles import best_phase
 from env.parallel_env import RISFleetParallelEnv
 from env.propagation import phases
 from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 
@@ -160,8 +161,7 @@ def test_gains_are_looked_up_for_each_world_and_robot():
 def test_an_oracle_reads_every_beam():
     config = surface()
     world = World(
-        config,
-        draw_destinations(config, stream(0, Stream.DESTINATIONS)),
+        Scenario(config, draw_destinations(config, stream(0, Stream.DESTINATIONS))),
         stream(0, Stream.WORLD),
         worlds=2,
     )

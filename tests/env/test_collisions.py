@@ -12,6 +12,7 @@ from env.collisions import moves_without_collisions
 from env.config_checks import problems
 from env.destinations import draw_destinations
 from env.parallel_env import RISFleetParallelEnv
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 
@@ -82,7 +83,7 @@ def test_driving_robots_never_share_a_cell_and_never_swap(scene):
 
 def blocked_world(starts, destinations=(5, 0), **changes):
     config = checked_config({**BLOCK, "robots": len(destinations), **changes})
-    world = World(config, np.array(destinations), stream(0, Stream.WORLD))
+    world = World(Scenario(config, np.array(destinations)), stream(0, Stream.WORLD))
     world.reset(np.array([starts]))
     return world
 
@@ -137,7 +138,7 @@ def test_by_default_robots_share_cells():
 def test_worlds_of_robots_that_drive_at_random_never_hold_two_in_a_cell():
     config = checked_config({**BLOCK, "robots": 3})
     goals, generator = np.array([5, 0, 35]), np.random.default_rng(0)
-    world = World(config, goals, stream(0, Stream.WORLD), worlds=60)
+    world = World(Scenario(config, goals), stream(0, Stream.WORLD), worlds=60)
     world.reset()
     for _ in range(40):
         shape = world.cell.shape
@@ -153,7 +154,7 @@ def test_worlds_of_robots_that_drive_at_random_never_hold_two_in_a_cell():
 def test_random_starts_are_cells_of_their_own_and_cover_all_of_them():
     config = checked_config({**BLOCK, "robots": 3})
     goals = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    starts = World(config, goals, stream(0, Stream.WORLD)).draw_starts(3000)
+    starts = World(Scenario(config, goals), stream(0, Stream.WORLD)).draw_starts(3000)
     assert all(len({*row}) == 3 for row in starts.tolist())
     assert all(len({*column}) == 36 for column in starts.T.tolist())
 
@@ -161,7 +162,7 @@ def test_random_starts_are_cells_of_their_own_and_cover_all_of_them():
 def test_starts_that_may_coincide_are_drawn_as_ever():
     config = checked_config({**BLOCK, "robots": 3, "collisions": "allow"})
     goals, generator = np.array([5, 0, 35]), stream(4, Stream.WORLD)
-    starts = World(config, goals, stream(4, Stream.WORLD)).draw_starts(50)
+    starts = World(Scenario(config, goals), stream(4, Stream.WORLD)).draw_starts(50)
     expected = [generator.choice(np.arange(36), size=50) for _ in range(3)]
     assert starts.T.tolist() == np.array(expected).tolist()
 

@@ -11,6 +11,7 @@ from env.config import MAX_PHASE_ACTIONS, EnvConfig
 from env.config_checks import problems
 from env.destinations import draw_destinations
 from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 
@@ -249,7 +250,7 @@ def test_every_robot_of_an_allowed_configuration_has_somewhere_to_start(
     )
     if not problems(config):
         cells = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
-        world = World(config, cells, stream(seed, Stream.WORLD))
+        world = World(Scenario(config, cells), stream(seed, Stream.WORLD))
         world.reset()
         assert world.driving.all()
 

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from env import oracles
-from env.actions import encode
+from env.actions import ActionSpace
 from env.config import ChannelConfig, EnvConfig
 from env.destinations import draw_destinations
 from env.parallel_env import AP, RISFleetParallelEnv
 from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.slice import Slice
 from env.world import World
@@ -22,7 +23,7 @@ FADINGS = ("static", "none", "slot")
 
 def make(config, worlds=1, seed=0):
     destinations = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
-    world = World(config, destinations, stream(seed, Stream.WORLD), worlds)
+    world = World(Scenario(config, destinations), stream(seed, Stream.WORLD), worlds)
     world.reset()
     return world
 
@@ -109,7 +110,7 @@ def test_slot_fading_repeats_with_the_seed_and_leaves_the_first_starts():
 def test_rates_and_observations_of_a_slot_have_its_own_channel():
     world = make(SLOT, worlds=5)
     generator = np.random.default_rng(0)
-    robots = Slice(SLOT, world.destinations)
+    robots = Slice(Scenario(SLOT, world.destinations))
     for _ in range(10):
         direct, db = world.direct, world.measured_db
         assert db == pytest.approx(20 * np.log10(np.abs(direct)), rel=1e-6)
@@ -158,7 +159,7 @@ def test_the_view_reports_the_gain_that_the_slot_was_served_with():
     for phase in (0, 2, 1):
         world = view.world
         gain_db = 20 * np.log10(np.abs(world.channel(np.array([phase]))))[0]
-        action = int(encode(np.array(1), np.array(2), 6))
+        action = int(ActionSpace(6).encode(np.array(1), np.array(2)))
         *_, infos = view.step({**dict.fromkeys(view.robots, action), AP: phase})
         for k, name in enumerate(view.robots):
             assert infos[name]["gain_db"] == pytest.approx(gain_db[k])

@@ -14,6 +14,7 @@ from env.config_checks import problems
 from env.destinations import draw_destinations
 from env.floor import Floor
 from env.parallel_env import RISFleetParallelEnv
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.single_robot import SingleRobotEnv
 from env.world import World
@@ -70,7 +71,7 @@ def test_the_share_is_that_of_starts_from_which_no_moves_arrive(walls, slots, ap
         return
     goals = goals_of(config, seed)
     config = dataclasses.replace(config, motion=dataclasses.replace(config.motion, max_slots=slots))
-    world = World(config, goals, stream(seed, Stream.WORLD))
+    world = World(Scenario(config, goals), stream(seed, Stream.WORLD))
     late = [
         [not arrives(config, goals, robot, start) for start in world._starts[robot]]
         for robot in range(2)
@@ -165,6 +166,6 @@ def test_half_of_the_starts_of_a_hall_of_100_m_are_too_far():
     config = checked_config({"room": {"width_m": 100.0, "depth_m": 100.0}})
     shares = lateness.late_shares(config, goals_of(config))
     assert shares.round(2).tolist() == [0.45, 0.62, 0.56]
-    world = World(config, goals_of(config), stream(0, Stream.WORLD), worlds=4000)
+    world = World(Scenario(config, goals_of(config)), stream(0, Stream.WORLD), worlds=4000)
     world.reset()
     assert (world.shortest_slots > 150).mean() == pytest.approx(shares.mean(), abs=0.02)

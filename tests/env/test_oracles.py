@@ -18,6 +18,7 @@ from env.checks import checked_config
 from env.destinations import draw_destinations
 from env.floor import STEPS
 from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 
@@ -44,7 +45,9 @@ few = settings(max_examples=15, deadline=None)
 def shared(name: str) -> World:
     config = checked_config(CONFIGS[name])
     destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    return World(config, destinations, stream(0, Stream.WORLD), 3, build_radio_map(config))
+    return World(
+        Scenario(config, destinations, build_radio_map(config)), stream(0, Stream.WORLD), 3
+    )
 
 
 @st.composite
@@ -121,11 +124,9 @@ def test_the_best_quality_spares_the_weakest_robot_what_the_best_sum_takes() -> 
     """Baseline 3: the logarithm cares more for low rates."""
     quality, least = shared("qoe"), []
     sums = World(
-        replace(quality.config, metric="qos"),
-        quality.destinations,
+        Scenario(replace(quality.config, metric="qos"), quality.destinations, quality.radio_map),
         quality.generator,
         3,
-        quality.radio_map,
     )
     cells = np.random.default_rng(1).integers(quality.floor.cells, size=(200, quality.robots))
     for world in (quality, sums):
@@ -193,18 +194,20 @@ def test_canonical_powers_are_sent_as_they_are_unless_the_margin_is_short(world:
     gain = oracles.phase_gains(world)[:, 0]
     level = oracles.canonical_levels(gain, world.driving, config.power.levels)
     free = World(
-        replace(config, power=replace(config.power, sic_margin=0.0)),
-        world.destinations,
+        Scenario(
+            replace(config, power=replace(config.power, sic_margin=0.0)),
+            world.destinations,
+            world.radio_map,
+        ),
         world.generator,
         3,
-        world.radio_map,
     )
     assert not free.downlink.allocate(gain, level, world.driving).projected.any()
 
 
 def bound_for(goal: int, start: int) -> World:
     config, shape = checked_config({"robots": 1}), shared("project")
-    world = World(config, np.array([goal]), stream(0, Stream.WORLD), radio_map=shape.radio_map)
+    world = World(Scenario(config, np.array([goal]), shape.radio_map), stream(0, Stream.WORLD))
     world.reset(np.array([[start]]))
     return world
 
@@ -271,7 +274,7 @@ def test_thousands_of_phases_are_searched_in_parts() -> None:
     """4,096 settings times 20 powers of two worlds: more than one part of a world's own."""
     config = checked_config({"ris": {"bits": 2, "subsurfaces": 6}, "room": {"cell_m": 3.0}})
     destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    world = World(config, destinations, stream(0, Stream.WORLD), 2)
+    world = World(Scenario(config, destinations), stream(0, Stream.WORLD), 2)
     assert world.phase_actions == 4096
     world.reset()
     rows = np.arange(2)

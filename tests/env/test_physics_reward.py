@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from env import actions
+from env.actions import ActionSpace
 from env.config import EnvConfig, MotionConfig, QoeConfig, RewardConfig
 from env.reward import (
     bits_per_joule,
@@ -125,22 +125,22 @@ def test_at_the_same_mean_rate_a_longer_way_is_less_efficient(mean_rate, first, 
 
 
 def test_a_robot_has_four_directions_times_the_power_levels_of_actions():
-    assert actions.count(6) == 24
+    assert ActionSpace(6).count == 24
     # 14 = 2 * 6 + 3 - 1: east, at the third level.
-    assert actions.encode(np.array(2), np.array(3), 6) == 14
-    assert actions.decode(np.array(14), 6) == (2, 3)
+    assert ActionSpace(6).encode(np.array(2), np.array(3)) == 14
+    assert ActionSpace(6).decode(np.array(14)) == (2, 3)
 
 
 @given(st.integers(1, 12))
 @settings(deadline=None)
 def test_actions_and_pairs_of_direction_and_level_are_one_to_one(levels):
-    every = np.arange(actions.count(levels))
-    direction, level = actions.decode(every, levels)
-    assert (actions.encode(direction, level, levels) == every).all()
+    every = np.arange(ActionSpace(levels).count)
+    direction, level = ActionSpace(levels).decode(every)
+    assert (ActionSpace(levels).encode(direction, level) == every).all()
     assert set(direction.tolist()) == {0, 1, 2, 3}
     assert set(level.tolist()) == set(range(1, levels + 1))
 
 
 def test_no_action_decodes_as_the_first():
-    direction, level = actions.decode(np.array([-1, 0]), 6)
+    direction, level = ActionSpace(6).decode(np.array([-1, 0]))
     assert (direction.tolist(), level.tolist()) == ([0, 0], [1, 1])

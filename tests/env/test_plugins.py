@@ -15,6 +15,7 @@ from env import plugins, reward
 from env.checks import checked_config
 from env.destinations import draw_destinations
 from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.slice import Slice
 from env.world import World
@@ -75,7 +76,7 @@ def ramp(config, floor):
 def world_of(changes):
     config = checked_config({**BASE, **changes})
     destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    return World(config, destinations, stream(0, Stream.WORLD), worlds=5)
+    return World(Scenario(config, destinations), stream(0, Stream.WORLD), worlds=5)
 
 
 def slots(world, count=40):
@@ -101,12 +102,12 @@ def test_an_own_reward_has_equal_bits_in_the_world_and_on_a_robot():
     world = world_of({"reward": {"model": "squared"}})
     for outcome, left, reached in slots(world):
         for b in range(len(left)):
-            mine = Slice(world.config, world.destinations)
+            mine = Slice(Scenario(world.config, world.destinations))
             made = mine.reward(outcome.rate[b], left[b], reached[b], outcome.arrived[b])
             drove = outcome.drove[b]
             assert np.array_equal(made[drove], outcome.local_reward[b][drove])
             for k in np.flatnonzero(drove):
-                alone = Slice(world.config, world.destinations[k : k + 1])
+                alone = Slice(Scenario(world.config, world.destinations[k : k + 1]))
                 at = slice(k, k + 1)
                 one = alone.reward(
                     outcome.rate[b, at], left[b, at], reached[b, at], outcome.arrived[b, at]
@@ -173,8 +174,8 @@ def test_without_a_ris_an_own_channel_has_none_either():
 
 def test_by_default_the_papers_function_itself_makes_rewards():
     world = world_of({})
-    assert world._reward is reward.local_reward
-    assert Slice(world.config, world.destinations)._reward is reward.local_reward
+    assert world._rewards._local is reward.local_reward
+    assert Slice(Scenario(world.config, world.destinations))._rewards._local is reward.local_reward
     assert plugins.own_channel(world.config, world.floor) is None
 
 
@@ -187,7 +188,7 @@ def test_a_package_is_found_by_its_entry_points(install):
         {"reward": {"model": "diminishing"}, "channel": {"model": "free_space"}}
     )
     rate, metres = np.array([9.0]), np.array([2.0])
-    made = reward.robots_reward(config)(rate, metres, metres, np.array([True]), config.reward)
+    made = reward.RewardFunction(config).local(rate, metres, metres, np.array([True]))
     # 0.05 * 3 - 1 + 100.
     assert made == pytest.approx([99.15])
     # 0.125 m of wavelength, 2.4 GHz: the cell below the AP is 1 m lower and 0.25 m off both ways.
@@ -222,7 +223,7 @@ def test_an_unknown_name_is_refused_with_those_that_there_are(key, ours, registe
 
 def test_an_installed_package_cannot_take_the_papers_name(install):
     install(project=PROJECT.replace("diminishing =", "paper ="))
-    assert world_of({})._reward is reward.local_reward
+    assert world_of({})._rewards._local is reward.local_reward
 
 
 @pytest.mark.parametrize("name", ["paper", "", "a b", "a=b", "os:system", "x" * 65, None])

@@ -13,6 +13,7 @@ from env.checks import checked_config
 from env.destinations import draw_destinations
 from env.floor import STEPS, UNREACHABLE, Floor
 from env.parallel_env import RISFleetParallelEnv
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.slice import Slice
 from env.world import World
@@ -54,7 +55,7 @@ def solid(segments_m, destinations_m, **changes):
 
 def world_of(config, seed=0, worlds=1):
     destinations = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
-    return World(config, destinations, stream(seed, Stream.WORLD), worlds)
+    return World(Scenario(config, destinations), stream(seed, Stream.WORLD), worlds)
 
 
 CUP = [[1.0, 1.0, 3.0, 1.0], [3.0, 1.0, 3.0, 3.0], [3.0, 3.0, 1.0, 3.0]]  # open to the west
@@ -129,7 +130,7 @@ def test_shortest_directions_take_a_robot_round_walls_in_as_many_slots_as_the_wa
     config = checked_config(solid([list(wall) for wall in walls], [], robots=1, tasks={
         "destination": "random"
     }))  # fmt: skip
-    world = World(config, np.array([goal]), stream(0, Stream.WORLD))
+    world = World(Scenario(config, np.array([goal])), stream(0, Stream.WORLD))
     world.reset(np.array([[start]]))
     left = int(world.shortest_slots[0, 0])
     if left < UNREACHABLE:
@@ -243,8 +244,8 @@ def test_a_slice_makes_the_worlds_reward_bit_by_bit(block, along):
     config = checked_config(solid(CUP, [[3.25, 2.25], [0.25, 0.25]], **changes))
     world, generator = world_of(config), np.random.default_rng(0)
     world.reset()
-    whole = Slice(config, world.destinations)
-    single = [Slice(config, world.destinations[k : k + 1]) for k in range(2)]
+    whole = Slice(Scenario(config, world.destinations))
+    single = [Slice(Scenario(config, world.destinations[k : k + 1])) for k in range(2)]
     for _ in range(80):
         left = world.cell[0].astype(np.int32)
         direction, level = generator.integers(4, size=(1, 2)), generator.integers(1, 7, size=(1, 2))

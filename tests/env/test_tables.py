@@ -6,6 +6,7 @@ import pytest
 from env import radio_map, world
 from env.checks import checked_config
 from env.destinations import draw_destinations
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 
@@ -44,7 +45,7 @@ def configured(changes):
 def played(config, slots=12):
     """What is seen and gained in a few slots of seven worlds."""
     destinations = draw_destinations(config, stream(3, Stream.DESTINATIONS))
-    worlds = World(config, destinations, stream(3, Stream.WORLD), 7)
+    worlds = World(Scenario(config, destinations), stream(3, Stream.WORLD), 7)
     worlds.reset()
     moves, found = np.random.default_rng(1), []
     for _ in range(slots):

@@ -13,6 +13,7 @@ from env import oracles, paths
 from env.checks import checked_config
 from env.destinations import draw_destinations
 from env.reward import energy_efficiency, metric, motion_energy_j
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.tally import EpisodeTally
 from env.trajectory import Trajectory, best_trajectory, shortest_ways
@@ -22,7 +23,7 @@ from env.world import World
 def floor_of(cell_m: float, robots: int, **more: Any) -> World:
     config = checked_config({"room": {"cell_m": cell_m}, "robots": robots, **more})
     destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    return World(config, destinations, stream(3, Stream.WORLD))
+    return World(Scenario(config, destinations), stream(3, Stream.WORLD))
 
 
 def replayed(world: World, start: NDArray[np.int64], plan: Trajectory) -> EpisodeTally:

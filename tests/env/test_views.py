@@ -18,11 +18,12 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, see
 from pettingzoo.utils.conversions import parallel_to_aec
 
 import env
-from env import actions
+from env.actions import ActionSpace
 from env.config import EnvConfig, RisConfig
 from env.destinations import draw_destinations
 from env.drawing import missed, trajectory_figure
 from env.parallel_env import AP, RISFleetParallelEnv, parallel_env
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.single_robot import SingleRobotEnv
 from env.world import World
@@ -73,7 +74,7 @@ def single(**kwargs: Any) -> SingleRobotEnv:
     return made
 
 
-EAST = int(actions.encode(np.array(2), np.array(1), 6))
+EAST = int(ActionSpace(6).encode(np.array(2), np.array(1)))
 
 
 @each_config
@@ -112,8 +113,7 @@ def test_the_parallel_view_is_the_world_bit_for_bit(config: dict[str, Any]) -> N
     view = parallel_env(config=config, seed=5)
     whole = view.config
     world = World(
-        whole,
-        draw_destinations(whole, stream(5, Stream.DESTINATIONS)),
+        Scenario(whole, draw_destinations(whole, stream(5, Stream.DESTINATIONS))),
         stream(9, Stream.WORLD),
     )
     random = np.random.default_rng(1)
@@ -125,10 +125,10 @@ def test_the_parallel_view_is_the_world_bit_for_bit(config: dict[str, Any]) -> N
             np.testing.assert_array_equal(seen[f"robot_{k}"], local[0, k])
         np.testing.assert_array_equal(seen[AP], world.global_observation(local)[0])
         phase = random.integers(world.phase_actions, size=1)
-        picks = random.integers(actions.count(whole.power.levels), size=(1, world.robots))
+        picks = random.integers(ActionSpace(whole.power.levels).count, size=(1, world.robots))
         picked = {f"robot_{k}": picks[0, k] for k in range(world.robots)}
         seen, paid, ended, out, infos = view.step({**picked, AP: phase[0]})
-        outcome = world.step(phase, *actions.decode(picks, whole.power.levels))
+        outcome = world.step(phase, *ActionSpace(whole.power.levels).decode(picks))
         assert paid[AP] == outcome.global_reward[0]
         assert infos[AP]["sum_rate"] == outcome.rate.sum()
         assert (ended[AP], out[AP]) == (outcome.terminated[0], outcome.truncated[0])

@@ -23,6 +23,7 @@ from env.config import (
 )
 from env.destinations import draw_destinations
 from env.radio_map import build_radio_map
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.slice import Slice
 from env.tally import EpisodeTally
@@ -62,7 +63,7 @@ def tiny(robots=2, **options):
 
 def tiny_world(starts, destinations=(5, 0), **options):
     config = tiny(len(destinations), **options)
-    world = World(config, np.array(destinations), stream(0, Stream.WORLD))
+    world = World(Scenario(config, np.array(destinations)), stream(0, Stream.WORLD))
     world.reset(np.array([starts]))
     return world
 
@@ -81,7 +82,7 @@ def gain_at(x_m, y_m):
 
 def make(config, seed=0, worlds=1, radio_map=None):
     destinations = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
-    return World(config, destinations, stream(seed, Stream.WORLD), worlds, radio_map)
+    return World(Scenario(config, destinations, radio_map), stream(seed, Stream.WORLD), worlds)
 
 
 def random_actions(world, generator):
@@ -485,8 +486,8 @@ def test_a_slice_makes_the_worlds_observation_and_reward_bit_by_bit(variant):
     start = world.cell.copy()
     start[0, 0] = world.destinations[0] - 1
     world.reset(start)
-    everybody = Slice(config, world.destinations)
-    single = [Slice(config, world.destinations[k : k + 1]) for k in range(world.robots)]
+    everybody = Slice(Scenario(config, world.destinations))
+    single = [Slice(Scenario(config, world.destinations[k : k + 1])) for k in range(world.robots)]
     assert everybody.observation_size == world.observer.local_size
     generator, arrivals = np.random.default_rng(2), 0
     for slot in range(60):

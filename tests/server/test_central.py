@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
 from conf import Config, weight_shapes
-from env import actions
+from env.actions import ActionSpace
 from env.destinations import draw_destinations
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import Outcome, World
 from experiments import local
@@ -52,7 +53,7 @@ class Spied(World):
 
 def world_of(config: Config) -> Spied:
     destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-    world = Spied(config.env, destinations, stream(config.seed, Stream.WORLD))
+    world = Spied(Scenario(config.env, destinations), stream(config.seed, Stream.WORLD))
     world.steps = []
     return world
 
@@ -99,14 +100,14 @@ def test_what_it_decided_is_done_and_learned_from(config: Config) -> None:
     levels = config.env.power.levels
     for step, (_, chosen, reward, *_rest) in zip(world.steps, learned, strict=True):
         if config.scheme.agents == "centralized":
-            phase, robots = (part[0] for part in actions.joint_decode(chosen, 2, levels))
+            phase, robots = (part[0] for part in ActionSpace(levels).joint_decode(chosen, 2))
             assert reward == joint_reward(step.outcome, 0.1)
         else:
             phase, robots = chosen[0], chosen[1:]
             assert reward[0] == step.outcome.global_reward[0]
             np.testing.assert_array_equal(reward[1:], step.outcome.local_reward[0])
             np.testing.assert_array_equal(robots == -1, ~step.drove)
-        direction, level = actions.decode(robots, levels)
+        direction, level = ActionSpace(levels).decode(robots)
         assert phase == step.phase
         np.testing.assert_array_equal(direction[step.drove], step.direction[step.drove])
         np.testing.assert_array_equal(level[step.drove], step.level[step.drove])
@@ -158,7 +159,7 @@ def test_a_frozen_policy_decides_as_the_agent_does(config: Config) -> None:
             agent.fleet.driving = world.driving[0]
             agent._epsilon = type(epsilon)(0.0, 0.0, 1)
             phase = agent.act(world.global_observation(), 10)
-            direction, level = actions.decode(agent.fleet.orders, config.env.power.levels)
+            direction, level = ActionSpace(config.env.power.levels).decode(agent.fleet.orders)
             frozen = policy(world, Weights(weights[None], weights), Exploration(0, (0.0,), 1))
             driving = world.driving[0]
             assert phase == frozen.phase

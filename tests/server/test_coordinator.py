@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from client_app.state import Keeper
 from conf import Config, robot_network
-from env import actions
-from env.destinations import draw_destinations
+from env.actions import ActionSpace
 from env.link import LinkServer, ServerLost, Want, serve
 from env.link.messages import Flag
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import Outcome, World
 from server_app.coordinator import Coordinator
@@ -33,8 +33,8 @@ class SpiedWorld(World):
     """A world that keeps the outcomes, and cells and channels after each slot and reset."""
 
     def __init__(self, config: Config) -> None:
-        destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-        super().__init__(config.env, destinations, stream(config.seed, Stream.WORLD))
+        scenario = Scenario.drawn(config.env, config.seed)
+        super().__init__(scenario, stream(config.seed, Stream.WORLD))
         self.outcomes: list[Outcome] = []
         self.reached: list[NDArray[np.int64]] = []
         self.starts: list[NDArray[np.int64]] = []
@@ -78,7 +78,7 @@ class ScriptedFleet:
         direction = np.where(right != 0, np.where(right > 0, 2, 3), np.where(up > 0, 0, 1))
         if not self.homing:
             direction[:] = 0
-        chosen = actions.encode(direction, np.full_like(direction, 3), config.power.levels)
+        chosen = ActionSpace.from_config(config).encode(direction, np.full_like(direction, 3))
         driving = (self.told[-1]["flags"] & Flag.DRIVING) != 0
         return np.where(driving, chosen, -1).astype(np.int32)
 

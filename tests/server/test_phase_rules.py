@@ -12,6 +12,7 @@ from safetensors.numpy import load_file
 
 from conf import Config
 from env.destinations import draw_destinations
+from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 from experiments import local
@@ -22,7 +23,7 @@ Tiny = Callable[..., Config]
 
 def world_of(config: Config, worlds: int = 1) -> World:
     destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-    world = World(config.env, destinations, stream(config.seed, Stream.WORLD), worlds)
+    world = World(Scenario(config.env, destinations), stream(config.seed, Stream.WORLD), worlds)
     world.reset()
     return world
 

@@ -1,0 +1,101 @@
+"""What a configuration fixes before the first slot: built once, and handed to whoever needs it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env import guidance, starts
+from env.actions import ActionSpace
+from env.config import EnvConfig
+from env.destinations import draw_destinations
+from env.floor import Floor
+from env.observation import Observer
+from env.radio_map import RadioMap, build_radio_map
+from env.reward import RewardFunction
+from env.seeding import Stream, stream
+
+
+class Scenario:
+    """Floor, destinations, distances, radio map, observations, actions and rewards of K robots.
+
+    Nothing of it changes while robots drive, so worlds and robots may share it. Tables that are
+    costly are built when they are first asked for: a robot's side needs no radio map.
+
+    Args:
+        config: the environment.
+        destinations: the cell that each robot is going to, shape (K,).
+        radio_map: tables to use; built when they are first asked for if None.
+
+    Attributes:
+        config: the same.
+        destinations: the same.
+        floor: its cells and walls.
+        actions: what a robot can choose.
+        observer: makes observations.
+        rewards: makes rewards.
+        slot_s: length of a slot in s.
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        destinations: NDArray[np.int64],
+        radio_map: RadioMap | None = None,
+    ) -> None:
+        self.config, self.destinations = config, destinations
+        self.floor = Floor.from_config(config)
+        self.actions = ActionSpace.from_config(config)
+        self.observer = Observer(config)
+        self.rewards = RewardFunction(config)
+        self.slot_s = config.room.cell_m / config.motion.speed_mps
+        self._radio_map = radio_map
+
+    @classmethod
+    def drawn(cls, config: EnvConfig, seed: int) -> Scenario:
+        """A run's scenario: its destinations come from their stream of the run's seed.
+
+        Raises:
+            ValueError: see ``draw_destinations``.
+        """
+        return cls(config, draw_destinations(config, stream(seed, Stream.DESTINATIONS)))
+
+    def of(self, robots: Sequence[int]) -> Scenario:
+        """The scenario as some of the robots know it: with their own destinations alone."""
+        return Scenario(self.config, self.destinations[list(robots)])
+
+    @cached_property
+    def radio_map(self) -> RadioMap:
+        """The channels of all cells."""
+        return self._radio_map or build_radio_map(self.config, self.floor)
+
+    @cached_property
+    def next_cell(self) -> NDArray[np.int64]:
+        """The cell that each move leads to, shape (cells, 4)."""
+        return self.floor.neighbours()
+
+    @cached_property
+    def slots_to_go(self) -> NDArray[np.int64]:
+        """Fewest slots from each cell to each destination, shape (cells, K).
+
+        ``UNREACHABLE`` where solid walls leave no way.
+        """
+        return self.floor.slots_to(self.destinations)
+
+    @cached_property
+    def distance_m(self) -> NDArray[np.float64]:
+        """D of the rewards: from each cell to each destination in m, shape (cells, K)."""
+        return guidance.distances_m(self.floor, self.destinations, self.config.reward.distance)
+
+    @cached_property
+    def start_cells(self) -> list[NDArray[np.int64]]:
+        """The cells that each robot may start from; see ``starts.start_cells``."""
+        return starts.start_cells(self.config, self.floor, self.destinations)
+
+    @cached_property
+    def fixed_starts(self) -> NDArray[np.int64]:
+        """The cells that robots start from with ``tasks.start=fixed``, shape (K,), or none."""
+        return starts.fixed_starts(self.config, self.floor)
