@@ -5,10 +5,10 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.12 python3.13 python3))
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
-PACKAGES := env agent server_app client_app conf experiments
+PACKAGES := env agent storage lockstep conf training server_app client_app experiments
 CHAOS_KILLS ?= 50
 CHAOS_SEED ?= 0
-SOURCES := $(PACKAGES) tests benchmarks docs/examples
+SOURCES := $(PACKAGES) tests benchmarks tools docs/examples
 
 .PHONY: setup train test test-all chaos bench lint clean
 
@@ -30,15 +30,15 @@ lint: $(READY)
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/pytest -m "not slow and not chaos" --cov=env --cov=agent --cov-report=term --cov-fail-under=95
+	$(BIN)/pytest -m "not slow and not chaos" --cov=env --cov=agent --cov=lockstep --cov=storage --cov-report=term --cov-fail-under=95
 
 test-all: lint
-	$(BIN)/pytest -m "not chaos" --cov=env --cov=agent --cov-report=term --cov-fail-under=95
+	$(BIN)/pytest -m "not chaos" --cov=env --cov=agent --cov=lockstep --cov=storage --cov-report=term --cov-fail-under=95
 
 # Processes of real runs are killed at random moments; two hosts lose each other (as root, on Linux).
 chaos: $(READY)
-	$(BIN)/pytest -m chaos tests/chaos
-	PYTHONPATH=tests $(BIN)/python -m chaos --kills $(CHAOS_KILLS) --seed $(CHAOS_SEED)
+	$(BIN)/pytest -m chaos tests/tools
+	$(BIN)/python -m tools.chaos --kills $(CHAOS_KILLS) --seed $(CHAOS_SEED)
 
 bench: $(READY)
 	$(BIN)/python -m benchmarks

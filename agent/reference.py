@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from agent.config import AgentConfig
-from agent.network import FloatArray, NetworkShape
+from agent.networks.mlp import FloatArray, NetworkShape
 
 
 class ReferenceDQN:

@@ -3,7 +3,7 @@
 | module | measures |
 |---|---|
 | `engine` | the stacked learner against four of `agent.reference` |
-| `worlds` | a joint step of the world against CartPole, and worlds in a batch |
+| `env_step` | a joint step of the world against CartPole, and worlds in a batch |
 | `scaling` | joint steps and updates per second for 1 to 32 robots in one process |
 | `parts` | where the time of a local joint step goes |
 | `deployment` | the link's share of a joint step, and what lockstep costs |

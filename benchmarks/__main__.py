@@ -19,7 +19,7 @@ from benchmarks.result import Result, Skipped
 
 BENCHMARKS = {
     "engine": "engine_vs_four_learners_",
-    "worlds": "world_",
+    "env_step": "world_",
     "parts": "part_",
     "scaling": "steps_per_s_ updates_vs_",
     "central": "centralized_ branching_",
@@ -27,7 +27,7 @@ BENCHMARKS = {
     "lockstep": "lockstep_bound_ lockstep_of_bound_",
     "runs": "rate_ simulation_ deployment_ flower_share evaluation_share weights_vs_",
     "memory": "memory_ busy_",
-    "prices": "checkpoint_ tls_",
+    "overheads": "checkpoint_ tls_",
     "distance": "distance_",
 }
 """Each benchmark, a module with a function of its name, and how its results' names begin."""

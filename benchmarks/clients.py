@@ -27,8 +27,8 @@ from agent import single_threaded
 from benchmarks.local import initial_weights
 from client_app.robots import RobotGroup
 from conf import Config, from_yaml, robot_network, to_yaml
-from env.link import LinkServer, Step, Want, serve
-from env.link.tls import client_context, server_context
+from lockstep import LinkServer, Step, Want, serve
+from lockstep.tls import client_context, server_context
 from server_app.certificates import run_certificate
 
 SPAN = 1 << 20

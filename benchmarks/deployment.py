@@ -27,8 +27,8 @@ from benchmarks.clients import SPAN, Clients, Mode, connected_clients
 from benchmarks.local import ServerSide, configured
 from benchmarks.result import Result, Target
 from conf import Config, robot_network
-from env.actions import ActionSpace
-from env.link import UPDATE, Flag, Fleet, LinkServer, Want
+from env.mdp.actions import ActionSpace
+from lockstep import UPDATE, Flag, Fleet, LinkServer, Want
 
 TARGET = Target(0.02, at_least=False)
 LINK_HOW = (

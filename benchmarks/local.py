@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from client_app.robots import RobotGroup
 from conf import Config, compose, robot_network, robots_learn
-from env.link import Fleet
+from env.episode import EpisodeMeasures
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from env.tally import EpisodeMeasures
 from env.world import World
-from experiments.local import InProcessFleet
-from server_app.access_point import AccessPoint
-from server_app.central import CentralAgent
-from server_app.coordinator import Coordinator
-from server_app.progress import Progress
-from server_app.schemes import build_central
-from server_app.strategies import build_aggregator
+from experiments.runtimes.local import InProcessFleet
+from lockstep import Fleet
+from training.aggregation.strategies import build_aggregator
+from training.controllers.access_point import AccessPoint
+from training.controllers.central import CentralAgent
+from training.controllers.schemes import build_central
+from training.coordinator import Coordinator
+from training.recording.progress import Progress
 
 OVERRIDES = (
     "runtime=local",

@@ -29,14 +29,14 @@ from agent import single_threaded
 from benchmarks.clients import connected_clients
 from benchmarks.deployment import measured_efficiency
 from benchmarks.local import ServerSide, configured, initial_weights
-from benchmarks.prices import Exchanges
+from benchmarks.overheads import Exchanges
 from benchmarks.result import Result, micro, take_turns
 from benchmarks.sockets import echoing
 from client_app.robots import RobotGroup
 from conf import Config
-from env.link import Robots, Step, Want
-from env.link.layout import actions_size, step_size
-from experiments.local import InProcessFleet
+from experiments.runtimes.local import InProcessFleet
+from lockstep import Robots, Step, Want
+from lockstep.wire_format import actions_size, step_size
 
 BOUND_HOW = (
     "wall time of free work over that of lockstep, at best, {} robots in a process each, on the {}"

@@ -13,9 +13,9 @@ import numpy as np
 from agent import single_threaded
 from benchmarks.local import LocalRun, configured
 from benchmarks.result import Result
-from env.slice import Slice
-from env.tally import EpisodeTally
-from server_app.aggregation import Aggregator
+from env.episode import EpisodeTally
+from env.local_env import Slice
+from training.aggregation.aggregator import Aggregator
 
 HOW = "share of a local joint step, 3 robots and AP, by stopwatches around the calls"
 NAMES = (

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from benchmarks.local import configured
 from benchmarks.result import Result, Target
-from server_app.communication import per_tick
+from training.communication import per_tick
 
 ROBOTS = (1, 3, 6)
 USUAL = 3

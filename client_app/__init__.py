@@ -1,5 +1,1 @@
-"""The client's side: ClientApp, robots and their state."""
-
-from client_app.app import app
-
-__all__ = ["app"]
+"""What is Flower's on a client: the ClientApp, robots and their state."""

@@ -16,10 +16,10 @@ from flwr.clientapp import ClientApp
 from agent import single_threaded
 from client_app.state import Keeper, held_robots
 from conf import Config, fingerprint, from_yaml, waits_for_the_lost
-from conf.places import STATE, node_folder
-from conf.run_log import log_lines
-from env.link import serve
-from env.link.tls import client_context
+from lockstep import serve
+from lockstep.tls import client_context
+from storage.checkpoint_layout import STATE, node_folder
+from training.run_log import log_lines
 
 STATE_DIR = "state-dir"
 """The key of a SuperNode's ``--node-config`` that names the folder of its robots' state."""

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import DQN, epsilon_at
-from client_app.sanity import check_model, check_rewards, check_told
+from client_app.input_checks import check_model, check_rewards, check_told
 from conf import Config, robot_network
-from env.link import Flag, Step, Want
+from env.local_env import Slice
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from env.slice import Slice
+from lockstep import Flag, Step, Want
 
 # As numbers: NumPy looks for attributes on an enum's member, which runs Python code whose errors
 # it drops, a KeyboardInterrupt among them.

@@ -9,16 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import (
-    CheckpointError,
-    Writer,
-    load_checkpoint,
-    save_checkpoint,
-)
 from client_app.robots import RobotGroup
 from conf import Config
-from conf.places import robot_folder, robot_owner, robot_windows, round_folder
-from env.link import Step, Want
+from lockstep import Step, Want
+from storage.checkpoint_files import CheckpointError, Writer, load_checkpoint, save_checkpoint
+from storage.checkpoint_layout import robot_folder, robot_owner, robot_windows, round_folder
 
 log = logging.getLogger(__name__)
 
@@ -162,7 +157,7 @@ def save_state(
         state: the folder of checkpoints on this machine.
         window: windows that have been played.
         place: the folder of a robot's checkpoints, below ``state``.
-        save: ``agent.save_checkpoint``, or a writer's.
+        save: ``storage.checkpoint_files.save_checkpoint``, or a writer's.
     """
     for index, robot in enumerate(group.robots):
         arrays = group.agents.agent_state(index)

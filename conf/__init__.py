@@ -1,13 +1,7 @@
 """Hydra configuration: the YAML groups, their schema, and how a run's configuration is composed."""
 
 from conf.checks import problems
-from conf.compose import (
-    compose,
-    from_yaml,
-    overridden,
-    register_schema,
-    to_yaml,
-)
+from conf.compose import compose, from_yaml, overridden, register_schema, to_yaml
 from conf.errors import ConfigError
 from conf.fingerprint import fingerprint, version
 from conf.networks import (

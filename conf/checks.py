@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from agent import config as agent
 from conf import scheme_checks
 from conf.schema import Config
-from env import lateness, validate
+from env import validate
 from env.config_checks import RULES as ENV_RULES
-from env.destinations import draw_destinations
+from env.mdp import lateness
+from env.mdp.destinations import draw_destinations
 from env.seeding import Stream, stream
 from env.validate import Problem
 

@@ -21,8 +21,8 @@ from conf.errors import ConfigError, first_sentence
 from conf.overrides import FOLDER, lines, parse, schema_node
 from conf.schema import Config
 from conf.user_paths import PATHS
-from env import floor_plans
 from env.checks import planned_config
+from env.geometry import floor_plans
 
 PLAN = "env.plan"
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from agent import Heads, NetworkShape
 from conf.schema import Config
-from env.actions import ActionSpace
 from env.config import phase_actions
-from env.observation import Observer
+from env.mdp.actions import ActionSpace
+from env.mdp.observation import Observer
 
 
 def robot_network(config: Config) -> NetworkShape:

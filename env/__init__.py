@@ -11,11 +11,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from env.apis.parallel_env import RISFleetParallelEnv
+    from env.apis.single_robot import SingleRobotEnv
     from env.checks import checked_config
     from env.config import EnvConfig
-    from env.parallel_env import RISFleetParallelEnv
     from env.plugins import register_channel_model, register_reward
-    from env.single_robot import SingleRobotEnv
     from env.world import World
 
 __all__ = [
@@ -31,8 +31,8 @@ __all__ = [
 SINGLE_ROBOT = "risfleet/SingleRobot-v0"
 _HOMES = {
     "EnvConfig": "env.config",
-    "RISFleetParallelEnv": "env.parallel_env",
-    "SingleRobotEnv": "env.single_robot",
+    "RISFleetParallelEnv": "env.apis.parallel_env",
+    "SingleRobotEnv": "env.apis.single_robot",
     "World": "env.world",
     "checked_config": "env.checks",
     "register_channel_model": "env.plugins",
@@ -50,4 +50,4 @@ with contextlib.suppress(ImportError):
     import gymnasium
 
     if SINGLE_ROBOT not in gymnasium.registry:
-        gymnasium.register(id=SINGLE_ROBOT, entry_point="env.single_robot:SingleRobotEnv")
+        gymnasium.register(id=SINGLE_ROBOT, entry_point="env.apis.single_robot:SingleRobotEnv")

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-from env import floor_plans
 from env.config import EnvConfig
 from env.config_checks import problems
+from env.geometry import floor_plans
 from env.validate import Problem, value_problems
 
 

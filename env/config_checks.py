@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from env import lateness, mounting, plugins, validate
+from env import plugins, validate
 from env.config import MAX_CELLS, MAX_PHASE_ACTIONS, EnvConfig, RoomConfig
-from env.floor import Floor
-from env.reward import distance_m
+from env.geometry.distances import distance_m
+from env.geometry.floor import Floor
+from env.mdp import lateness
+from env.radio import mounting
 from env.ris_checks import codebook_problems, pair_problems
 from env.validate import Problem
 

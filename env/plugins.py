@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from env.config import EnvConfig, RewardConfig
-    from env.floor import Floor
+    from env.geometry.floor import Floor
     from env.validate import Problem
 
 Tables = tuple[NDArray[np.complex128], NDArray[np.complex128]]
@@ -31,7 +31,7 @@ ChannelModel = Callable[["EnvConfig", "Floor"], Tables]
 
 Floats = NDArray[np.float64]
 Reward = Callable[[Floats, Floats, Floats, NDArray[np.bool_], "RewardConfig"], Floats]
-"""A robot's reward, with the arguments of ``env.reward.local_reward``."""
+"""A robot's reward, with the arguments of ``env.mdp.reward.local_reward``."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 
@@ -132,7 +132,7 @@ def register_reward(name: str, function: Reward) -> None:
 
     Args:
         name: letters, digits, ``_``, ``-`` and ``.``; again the same name replaces the function.
-        function: with the arguments of ``env.reward.local_reward``, element by element; gives
+        function: with the arguments of ``env.mdp.reward.local_reward``, element by element; gives
             rewards of their shape, float64.
 
     Raises:

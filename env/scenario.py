@@ -8,14 +8,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from env import guidance, starts
-from env.actions import ActionSpace
 from env.config import EnvConfig
-from env.destinations import draw_destinations
-from env.floor import Floor
-from env.observation import Observer
-from env.radio_map import RadioMap, build_radio_map
-from env.reward import RewardFunction
+from env.geometry import distances
+from env.geometry.floor import Floor
+from env.mdp import starts
+from env.mdp.actions import ActionSpace
+from env.mdp.destinations import draw_destinations
+from env.mdp.observation import Observer
+from env.mdp.reward import RewardFunction
+from env.radio.radio_map import RadioMap, build_radio_map
 from env.seeding import Stream, stream
 
 
@@ -88,7 +89,7 @@ class Scenario:
     @cached_property
     def distance_m(self) -> NDArray[np.float64]:
         """D of the rewards: from each cell to each destination in m, shape (cells, K)."""
-        return guidance.distances_m(self.floor, self.destinations, self.config.reward.distance)
+        return distances.distances_m(self.floor, self.destinations, self.config.reward.distance)
 
     @cached_property
     def start_cells(self) -> list[NDArray[np.int64]]:

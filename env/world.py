@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from env import collisions, starts
-from env.allocation import Allocation, Downlink
 from env.config import phase_actions
-from env.propagation import small_scale_fading
-from env.reward import only
+from env.downlink.allocation import Allocation, Downlink
+from env.mdp import collisions, starts
+from env.mdp.reward import only
+from env.radio.propagation import small_scale_fading
 from env.scenario import Scenario
 
 

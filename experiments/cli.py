@@ -8,11 +8,11 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-from experiments.mishaps import in_words
-from experiments.steady import steady_output
+from experiments.console.mishaps import in_words
+from experiments.console.steady import steady_output
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("agent", "client_app", "conf", "env", "server_app")
+PACKAGES = ("agent", "client_app", "conf", "env", "lockstep", "server_app", "storage", "training")
 
 USAGE = """\
 usage: risfleet COMMAND ...
@@ -114,43 +114,43 @@ def _hidden_package() -> str:
 
 
 def _train(arguments: Sequence[str]) -> int:
-    from experiments.train import main
+    from experiments.commands.train import main
 
     return main(arguments)
 
 
 def _evaluate(arguments: Sequence[str]) -> int:
-    from experiments.evaluate import main
+    from experiments.commands.evaluate import main
 
     return main(arguments)
 
 
 def _oracle(arguments: Sequence[str]) -> int:
-    from experiments.oracle import main
+    from experiments.commands.oracle import main
 
     return main(arguments)
 
 
 def _reproduce(arguments: Sequence[str]) -> int:
-    from experiments.reproduce.command import main
+    from experiments.commands.reproduce import main
 
     return main(arguments)
 
 
 def _status(arguments: Sequence[str]) -> int:
-    from experiments.status import main
+    from experiments.commands.status import main
 
     return main(arguments)
 
 
 def _map(arguments: Sequence[str]) -> int:
-    from experiments.map import main
+    from experiments.commands.map import main
 
     return main(arguments)
 
 
 def _keys(arguments: Sequence[str]) -> int:
-    from experiments.keys import main
+    from experiments.commands.keys import main
 
     return main(arguments)
 

@@ -1,5 +1,1 @@
-"""The server's side: ServerApp, access point, coordinator, strategies, evaluation, run folder."""
-
-from server_app.app import app
-
-__all__ = ["app"]
+"""What is Flower's on the server: the ServerApp, rounds, clients and lost ones."""

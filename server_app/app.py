@@ -11,22 +11,16 @@ from flwr.app import Context
 from flwr.serverapp import Grid, ServerApp
 
 from conf import Config, ConfigError, fingerprint
-from env.link import LinkServer
-from env.link.tls import server_context
-from server_app import resume
+from lockstep import LinkServer
+from lockstep.tls import server_context
 from server_app.certificates import run_certificate
-from server_app.checkpoint import Checkpoint
 from server_app.clients import Clients
-from server_app.files import report_failure
-from server_app.lifeline import Lifeline
 from server_app.nodes import wait_for_nodes
-from server_app.preflight import (
-    check_address,
-    checked,
-    checked_yaml,
-    default_concurrency,
-    uses_tls,
-)
+from server_app.recovery import Lifeline
+from training import resume
+from training.checkpoint import Checkpoint
+from training.preflight import check_address, checked, checked_yaml, default_concurrency, uses_tls
+from training.recording.files import report_failure
 
 NODES_PATIENCE_S = 2.0
 

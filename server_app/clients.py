@@ -18,9 +18,10 @@ from flwr.serverapp import Grid
 from numpy.typing import NDArray
 
 from conf import Config, robot_network, to_yaml, waits_for_the_lost
-from env.link import LinkServer, RobotLost
-from env.link.errors import named, one_line
-from server_app.nodes import Block, RoundError, deal, held_by, placed
+from lockstep import LinkServer, RobotLost
+from lockstep.errors import named, one_line
+from server_app.nodes import RoundError, held_by, placed
+from training.partition import Block, deal
 
 log = logging.getLogger(__name__)
 

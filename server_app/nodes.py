@@ -5,34 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 
-import numpy as np
 from flwr.app import ConfigRecord, Message, MessageType, RecordDict
 from flwr.serverapp import Grid
 
 from conf import Config, to_yaml
-
-Block = tuple[int, ...]
-"""The robots of one client."""
+from training.partition import Block
 
 POLL_S = 0.05
 
 
 class RoundError(RuntimeError):
     """Flower could not do what the run needs; the message says what and where."""
-
-
-def deal(robots: int, clients: int) -> list[Block]:
-    """Deals robots to clients in blocks of neighbours, as even as can be.
-
-    Args:
-        robots: K.
-        clients: 1 to K.
-
-    Returns:
-        The robots of each client.
-    """
-    parts = np.array_split(np.arange(robots), clients)
-    return [tuple(int(robot) for robot in part) for part in parts]
 
 
 def wait_for_nodes(grid: Grid, count: int, deadline_s: float) -> list[int]:

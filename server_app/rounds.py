@@ -15,17 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config, waits_for_the_lost, windows_per_round
-from env.link import LinkServer, LinkTimeout, RobotLost, Want
-from env.link.errors import named
+from lockstep import LinkServer, LinkTimeout, RobotLost, Want
+from lockstep.errors import named
 from server_app.clients import Clients, Opening
-from server_app.costs import Costs
-from server_app.nodes import POLL_S, Block, RoundError
+from server_app.nodes import POLL_S, RoundError
+from training.partition import Block
+from training.recording.costs import Costs
 
 log = logging.getLogger(__name__)
 
 
 class FlowerFleet:
-    """The robots of a run that Flower clients hold; implements ``env.link.Fleet``.
+    """The robots of a run that Flower clients hold; implements ``lockstep.Fleet``.
 
     Args:
         config: the run's configuration, with an absolute ``run.dir``.

@@ -91,7 +91,7 @@ class Played:
     @property
     def digests(self) -> tuple[str, str]:
         """Of the robots' and of the access point's weights."""
-        from agent import digest
+        from storage.checkpoint_files import digest
 
         return digest(self.robots), digest(self.ap)
 
@@ -130,9 +130,9 @@ def play() -> Callable[..., Played]:
         from env.scenario import Scenario
         from env.seeding import Stream, stream
         from env.world import World
-        from server_app.access_point import AccessPoint
-        from server_app.coordinator import Coordinator
-        from server_app.strategies import build_aggregator
+        from training.aggregation.strategies import build_aggregator
+        from training.controllers.access_point import AccessPoint
+        from training.coordinator import Coordinator
 
         first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
         initial = np.stack([first, first])
@@ -152,7 +152,7 @@ def _local_fleet(
     config: Any, blocks: Sequence[tuple[int, ...]], initial: NDArray[np.float32]
 ) -> Any:
     from client_app.robots import RobotGroup
-    from experiments.local import InProcessFleet
+    from experiments.runtimes.local import InProcessFleet
 
     groups = []
     for block in blocks:
@@ -171,7 +171,7 @@ def tiny_overrides() -> tuple[str, ...]:
 @pytest.fixture(scope="session")
 def tiny_run(_tiny_defaults: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a finished tiny run, with figures and events; not to be written to."""
-    from experiments import local
+    from experiments.runtimes import local
 
     folder: Path = tmp_path_factory.mktemp("tiny") / "run"
     changes = {"run.dir": str(folder), "run.figures": True, "run.tensorboard": True}

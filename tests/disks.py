@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from chaos.hosts import call
+from tools.chaos.hosts import call
 
 FILLER = "filler"
 

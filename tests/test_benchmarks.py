@@ -6,22 +6,22 @@ import math
 import numpy as np
 import pytest
 
-from agent import checkpoints
 from benchmarks import distance, memory
 from benchmarks.__main__ import known, main
 from benchmarks.local import configured
 from benchmarks.lockstep import PartedRun, Tick, shortest
-from benchmarks.prices import Kept, fill
+from benchmarks.overheads import Kept, fill
 from benchmarks.sockets import echoing
 from client_app.robots import RobotGroup
-from conf.places import robot_folder, server_folder
+from storage.checkpoint_files import checkpoints
+from storage.checkpoint_layout import robot_folder, server_folder
 
 
 @pytest.mark.parametrize(
     "name",
     [
         "engine",
-        "worlds",
+        "env_step",
         "parts",
         "scaling",
         pytest.param("central", marks=pytest.mark.slow),
@@ -43,11 +43,11 @@ def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):
 @pytest.mark.parametrize(
     ("result", "benchmark"),
     [
-        ("world_step_vs_cartpole_k3", "worlds"),
+        ("world_step_vs_cartpole_k3", "env_step"),
         ("link_share", "deployment"),
         ("runs", "runs"),
         ("deployment_vs_simulation", "runs"),
-        ("tls_us", "prices"),
+        ("tls_us", "overheads"),
         ("lockstep_efficiency", "deployment"),
         ("lockstep_of_bound_k3", "lockstep"),
     ],

@@ -1,4 +1,4 @@
-"""Imports go one way: physics and agents know nothing of Flower, apps nothing of each other."""
+"""Imports go one way, down the table of docs/architecture.md, and never in a circle of folders."""
 
 import ast
 import subprocess
@@ -9,24 +9,28 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-OURS = ("env", "agent", "conf", "client_app", "server_app", "experiments")
+OURS = (
+    "env", "storage", "agent", "lockstep", "conf", "training", "client_app", "server_app",
+    "experiments",
+)  # fmt: skip
+A_RUN = {"training", "lockstep", "env", "agent", "conf", "storage"}
 
 # What each part may import beyond the standard library. The first prefix that fits a module
 # holds, so exceptions stand above the rule.
 RULES = {
-    "env.link": {"env.link", "numpy"},
-    "env.drawing": {"env", "numpy", "matplotlib"},
-    "env.picture": {"env", "numpy", "matplotlib"},
-    "env.parallel_env": {"env", "numpy", "gymnasium", "pettingzoo"},
-    "env.single_robot": {"env", "numpy", "gymnasium", "pettingzoo"},
+    "env.rendering": {"env", "numpy", "matplotlib"},
+    "env.apis": {"env", "numpy", "gymnasium", "pettingzoo"},
     "env": {"env", "numpy", "annotated_types"},
-    "agent": {"agent", "numpy", "torch", "safetensors", "threadpoolctl", "annotated_types"},
+    "storage": {"storage", "numpy", "safetensors"},
+    "agent": {"agent", "storage", "numpy", "torch", "threadpoolctl", "annotated_types"},
+    "lockstep": {"lockstep", "env", "storage", "numpy"},
     "conf": {"conf", "agent", "env", "hydra", "omegaconf", "yaml", "annotated_types"},
-    "client_app": {"client_app", "agent", "env", "conf", "flwr", "numpy"},
-    "server_app": {
-        "server_app", "agent", "env", "conf", "flwr", "numpy",
-        "matplotlib", "safetensors", "torch.utils.tensorboard", "cryptography",
-    },
+    "training.aggregation": {*A_RUN, "numpy", "flwr"},
+    "training.recording.figures": {*A_RUN, "numpy", "matplotlib"},
+    "training.recording": {*A_RUN, "numpy", "safetensors", "torch.utils.tensorboard"},
+    "training": {*A_RUN, "numpy"},
+    "client_app": {"client_app", *A_RUN, "flwr", "numpy"},
+    "server_app": {"server_app", *A_RUN, "flwr", "numpy", "cryptography"},
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
         "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography",
@@ -35,13 +39,15 @@ RULES = {
 
 # The package registers a view with Gymnasium where that is installed, and names its views.
 PACKAGE = "env"
-VIEWS = {"env.drawing", "env.picture", "env.parallel_env", "env.single_robot"}
+VIEWS = ("env.apis", "env.rendering")
 PHYSICS = [
     "env." + name
     for name in (
-        "allocation", "destinations", "oracles", "radio_map", "seeding", "slice", "tally", "world"
+        "downlink.allocation", "mdp.destinations", "oracles.per_slot", "radio.radio_map", "seeding",
+        "local_env", "episode", "world",
     )
 ]  # fmt: skip
+HEAVY = ("flwr", "matplotlib", "torch")
 
 
 @cache
@@ -56,6 +62,10 @@ def modules():
     return found
 
 
+def is_package(module):
+    return (ROOT / module.replace(".", "/")).is_dir()
+
+
 def rule_of(module):
     """The part that a module belongs to."""
     return next(part for part in RULES if module == part or module.startswith(part + "."))
@@ -65,9 +75,8 @@ def absolute(module, node):
     """The module that a ``from`` import names, relative ones resolved."""
     if not node.level:
         return node.module
-    is_package = (ROOT / module.replace(".", "/")).is_dir()
     parts = module.split(".")
-    above = parts[: len(parts) - node.level + is_package]
+    above = parts[: len(parts) - node.level + is_package(module)]
     return ".".join([*above, node.module] if node.module else above)
 
 
@@ -119,6 +128,24 @@ def offences(module, tree, allowed):
     )
 
 
+def folder(module):
+    """The folder of a module; where folders of ours stand beside it, it counts by itself."""
+    package = module if is_package(module) else module.rpartition(".")[0]
+    inner = any(is_package(other) and other.startswith(package + ".") for other in modules())
+    return module if inner else package
+
+
+def in_circles(graph):
+    """What is left of a graph once all that leads nowhere has been taken away, again and again."""
+    graph = {name: {other for other in to if other != name} for name, to in graph.items()}
+    while leaves := [name for name, to in graph.items() if not to]:
+        for leaf in leaves:
+            del graph[leaf]
+        for to in graph.values():
+            to.difference_update(leaves)
+    return graph
+
+
 @pytest.mark.parametrize("module", [*modules()])
 def test_a_module_imports_only_what_its_part_may(module):
     """Holds for lazy imports inside functions, too: a direction is a direction."""
@@ -127,10 +154,12 @@ def test_a_module_imports_only_what_its_part_may(module):
 
 
 @pytest.mark.parametrize(
-    "module", [m for m in modules() if rule_of(m) in ("env", "env.link") and m != PACKAGE]
+    "module",
+    [m for m in modules() if m.split(".")[0] in ("env", "lockstep") and not fits(m, VIEWS)],
 )
 def test_the_physics_and_the_link_know_no_views(module):
-    assert VIEWS.isdisjoint(names(module, modules()[module]))
+    if module != PACKAGE:
+        assert not [name for name in names(module, modules()[module]) if fits(name, VIEWS)]
 
 
 def test_the_physics_needs_nothing_but_numpy():
@@ -138,8 +167,7 @@ def test_the_physics_needs_nothing_but_numpy():
     program = (
         f"import sys; sys.modules.update(dict.fromkeys({hidden!r}))\n"
         f"import {', '.join(PHYSICS)}\n"
-        "config = env.config.EnvConfig()\n"
-        "scenario = env.scenario.Scenario.drawn(config, 0)\n"
+        "scenario = env.scenario.Scenario.drawn(env.config.EnvConfig(), 0)\n"
         "world = env.world.World(scenario, env.seeding.stream(0, env.seeding.Stream.WORLD))\n"
         "world.reset(); print(world.driving.all())\n"
     )
@@ -149,27 +177,57 @@ def test_the_physics_needs_nothing_but_numpy():
     assert (done.stdout.strip(), done.stderr) == ("True", "")
 
 
+@pytest.mark.parametrize(
+    ("module", "loaded"),
+    [
+        *((package, "") for package in OURS),
+        ("env.world", ""),
+        ("lockstep.server", ""),
+        ("storage.checkpoint_files", ""),
+        ("conf.compose", ""),
+        ("training.evaluation", ""),
+        ("training.controllers.schemes", "torch"),
+        ("training.recording.history", ""),
+    ],
+)
+def test_importing_a_module_loads_no_heavy_library_that_it_does_not_need(module, loaded):
+    program = f"import sys, {module}; print(*(n for n in {HEAVY!r} if n in sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == loaded
+
+
 def test_the_apps_and_the_command_are_where_the_rules_expect_them():
     assert {name.split(".")[0] for name in modules()} == set(OURS)
-    assert {rule_of(name) for name in modules()} >= {*OURS, "env.link", "env.drawing"}
+    assert {rule_of(name) for name in modules()} == {*RULES}
 
 
 def test_no_module_imports_itself_through_others():
     """Imports made inside functions are left out: they run when both modules are whole."""
     graph = {
-        module: {
-            name
-            for name in names(module, at_import_time(tree))
-            if name in modules() and name != module
-        }
+        module: {name for name in names(module, at_import_time(tree)) if name in modules()}
         for module, tree in modules().items()
     }
-    while leaves := [module for module, imported in graph.items() if not imported]:
-        for leaf in leaves:
-            del graph[leaf]
-        for imported in graph.values():
-            imported.difference_update(leaves)
-    assert graph == {}
+    assert in_circles(graph) == {}
+
+
+def test_no_folder_imports_itself_through_others():
+    """Imports made inside functions count; those for type checkers alone do not."""
+    graph = {folder(module): set() for module in modules()}
+    for module, tree in modules().items():
+        for name in names(module, without_type_checking(tree)):
+            if name in modules():
+                graph[folder(module)].add(folder(name))
+    assert in_circles(graph) == {}
+
+
+def without_type_checking(tree):
+    class Keeper(ast.NodeTransformer):
+        def visit_If(self, node):
+            return None if "TYPE_CHECKING" in ast.unparse(node.test) else self.generic_visit(node)
+
+    return Keeper().visit(ast.parse(ast.unparse(tree)))
 
 
 SAMPLES = [
@@ -177,13 +235,19 @@ SAMPLES = [
     ("env.world", "import numpy as np\nimport math", []),
     ("env.world", "def f():\n    import flwr", ["flwr"]),
     ("env.world", "from matplotlib.figure import Figure", ["matplotlib.figure"]),
-    ("env.drawing", "from matplotlib.figure import Figure", []),
-    ("env.link.wire", "from env.world import World", ["env.world"]),
-    ("env.link.wire", "from . import layout\nfrom .. import world", ["env.world"]),
-    ("agent.dqn", "from env import actions", ["env.actions"]),
+    ("env.world", "from storage import atomic", ["storage.atomic"]),
+    ("env.rendering.drawing", "from matplotlib.figure import Figure", []),
+    ("lockstep.frames", "from agent.config import AgentConfig", ["agent.config"]),
+    ("lockstep.frames", "from . import messages\nfrom env import world", []),
+    ("agent.agents.dqn", "from env.mdp import actions", ["env.mdp.actions"]),
+    ("agent.agents.dqn", "from ..learning import losses\nfrom ...env import world", ["env.world"]),
+    ("conf.schema", "from storage import atomic", ["storage.atomic"]),
+    ("training.session", "from server_app.rounds import x", ["server_app.rounds"]),
+    ("training.session", "from flwr.app import Context", ["flwr.app"]),
+    ("training.aggregation.aggregator", "from flwr.app import Array", []),
+    ("training.recording.recorder", "from torch.utils.tensorboard import SummaryWriter", []),
     ("client_app.app", "from server_app.rounds import x", ["server_app.rounds"]),
     ("server_app.app", "import torch", ["torch"]),
-    ("server_app.app", "from torch.utils.tensorboard import SummaryWriter", []),
 ]
 
 
@@ -201,3 +265,10 @@ def test_only_imports_that_run_at_once_make_a_cycle():
     )
     found = set(names("x", at_import_time(ast.parse(source))))
     assert found == {"typing", "b", "c", "d"}
+
+
+def test_folders_count_as_one_unless_folders_stand_beside_their_modules():
+    assert folder("env.mdp.actions") == "env.mdp"
+    assert folder("env.world") == "env.world"
+    assert folder("lockstep.server") == "lockstep"
+    assert in_circles({"a": {"b"}, "b": {"a", "c"}, "c": set()}) == {"a": {"b"}, "b": {"a"}}

@@ -7,9 +7,9 @@ from enum import Enum
 from pathlib import Path
 
 from conf import Config, ConfigError, fingerprint
-from experiments.evaluate import read_config, read_weights
-from server_app import resume
-from server_app.checkpoint import Checkpoint
+from training import resume
+from training.checkpoint import Checkpoint
+from training.recording.reading import read_config, read_weights
 
 TICKS_PER_EPISODE = 85
 MS_PER_TICK_AND_ROBOT = 0.5

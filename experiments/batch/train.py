@@ -15,10 +15,10 @@ from experiments.batch.launcher import build_launcher
 from experiments.batch.states import State, cost_s, folder_of, state_of
 from experiments.batch.watch import Watch
 from experiments.batch.worker import Work
-from experiments.display import read_progress
-from experiments.mishaps import in_words
-from experiments.stopping import ShieldedSignals
-from server_app.session import STOP_FILE
+from experiments.console.display import read_progress
+from experiments.console.mishaps import in_words
+from experiments.runtimes.stopping import ShieldedSignals
+from training.session import STOP_FILE
 
 ATTEMPTS = 2
 """A process that dies takes its launcher's other jobs with it, so these are launched again."""

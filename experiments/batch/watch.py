@@ -12,8 +12,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from conf import Config
 from experiments.batch.states import cost_s, folder_of
-from experiments.display import RUNNING, Showing, read_progress, share_done
-from experiments.stopping import ShieldedSignals
+from experiments.console.display import RUNNING, Showing, read_progress, share_done
+from experiments.runtimes.stopping import ShieldedSignals
 
 POLL_S = 0.5
 LINE_PERIOD_S = 30.0

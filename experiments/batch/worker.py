@@ -14,10 +14,10 @@ from omegaconf import DictConfig
 
 from conf import Config
 from experiments.batch.states import folder_of
-from experiments.runner import train_quietly
-from experiments.stopping import IgnoredSignals
-from server_app.files import report_failure
-from server_app.session import STOP_FILE
+from experiments.runtimes.runner import train_quietly
+from experiments.runtimes.stopping import IgnoredSignals
+from training.recording.files import report_failure
+from training.session import STOP_FILE
 
 LOOK_S = 1.0
 

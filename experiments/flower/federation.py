@@ -8,12 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from experiments.flower import commands
-from experiments.flower.environment import (
-    HOST,
-    FlowerError,
-    flower_command,
-    free_port,
-)
+from experiments.flower.environment import HOST, FlowerError, flower_command, free_port
 from experiments.flower.keys import FleetKeys, NodeKeys, add_nodes, make_keys
 from experiments.flower.processes import Process, command, members, terminate
 from experiments.flower.session import Session

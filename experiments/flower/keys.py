@@ -18,7 +18,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from env.link.messages import MAX_ROBOTS
+from lockstep.messages import MAX_ROBOTS
 from server_app.certificates import alternative_name, certificate_pem, certify, key_pem
 
 VALID_DAYS = 5 * 365

@@ -18,8 +18,8 @@ from experiments.flower.environment import CONNECTION
 class Components:
     """Import references of an app's two parts, `module:attribute`."""
 
-    server: str = "server_app:app"
-    client: str = "client_app:app"
+    server: str = "server_app.app:app"
+    client: str = "client_app.app:app"
 
 
 def write_manifest(folder: Path, components: Components) -> Path:

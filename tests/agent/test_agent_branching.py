@@ -7,8 +7,8 @@ import torch.nn.functional as F  # noqa: N812
 from agent_helpers import fleet, generators, same_bits, small_config
 
 from agent import BranchingDQN, Heads, NetworkShape, TargetConfig
-from agent.branching import BranchingLearner
-from agent.heads import HeadRows
+from agent.agents.branching import BranchingLearner
+from agent.learning.heads import HeadRows
 
 SIZES = (4, 7, 7)
 OWN = Heads(SIZES, (0.0, 0.8, 0.8))

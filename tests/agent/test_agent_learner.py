@@ -9,9 +9,9 @@ from agent_helpers import Experience, fleet, generators, live, same_bits, shape_
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from agent import DQN, AgentConfig, NetworkShape, PriorityConfig, TargetConfig, single_threaded
-from agent.learner import Learner, learning_rate_at, neighbours
+from agent.learning.learner import Learner, learning_rate_at, neighbours
 from agent.reference import ReferenceDQN
-from agent.replay import RowLayout
+from agent.replay.uniform import RowLayout
 
 
 def row_of(network):

@@ -7,7 +7,8 @@ from agent_helpers import same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent import NetworkShape, digest, q_values
+from agent import NetworkShape, q_values
+from storage.checkpoint_files import digest
 
 SHAPE = NetworkShape(5, (13, 27), 24)
 widths = st.integers(1, 70)

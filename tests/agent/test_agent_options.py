@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent import PriorityConfig, TargetConfig, q_values
-from agent.dueling import DuelingHead
-from agent.learner import learning_rate_at
-from agent.priority import LEAST_ERROR, PrioritisedReplay
-from agent.replay import RowLayout
-from agent.returns import ReturnWindow
+from agent.learning.learner import learning_rate_at
+from agent.networks.dueling import DuelingHead
+from agent.replay.n_step import ReturnWindow
+from agent.replay.prioritised import LEAST_ERROR, PrioritisedReplay
+from agent.replay.uniform import RowLayout
 
 LAYOUT = RowLayout(1)
 

@@ -15,13 +15,12 @@ from agent import (
     PriorityConfig,
     TargetConfig,
     epsilon_at,
-    generator_state,
     problems,
-    restore_generator,
 )
 from agent.exploration import GREEDY, NO_ACTION, explore
-from agent.losses import double_dqn_values, dqn_values, huber, td_target
-from agent.replay import Replay, RowLayout
+from agent.learning.losses import double_dqn_values, dqn_values, huber, td_target
+from agent.replay.uniform import Replay, RowLayout
+from storage.generators import generator_state, restore_generator
 
 
 def test_the_default_configuration_has_no_problems():

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from agent_helpers import Experience, fleet, live, same_bits, shape_of, small_config
 
-from agent import CheckpointError, checkpoints, digest, load_checkpoint, save_checkpoint
+from storage.checkpoint_files import (
+    CheckpointError,
+    checkpoints,
+    digest,
+    load_checkpoint,
+    save_checkpoint,
+)
 
 ARRAYS = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.array([2**63], np.uint64)}
 META = {"seed": 7, "names": ["x", "y"], "none": None}
@@ -94,7 +100,7 @@ def test_a_crash_while_writing_leaves_the_older_checkpoint(tmp_path, monkeypatch
         raise OSError("the disk is full")
 
     with monkeypatch.context() as patch:
-        patch.setattr("agent.storage.os.fsync", crash)
+        patch.setattr("storage.checkpoint_files.os.fsync", crash)
         with pytest.raises(OSError, match="disk is full"):
             save_checkpoint(tmp_path, 2, ARRAYS, META)
     assert checkpoints(tmp_path) == [1]
@@ -107,7 +113,7 @@ def test_what_cannot_be_written_names_the_file_and_leaves_nothing_of_it(tmp_path
     def full(_handle):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("agent.storage.os.fsync", full)
+    monkeypatch.setattr("storage.checkpoint_files.os.fsync", full)
     with pytest.raises(OSError, match=r"No space left on device: '.*checkpoint-0*2\.safetensors'"):
         save_checkpoint(tmp_path, 2, ARRAYS, META)
     assert os.listdir(tmp_path) == []

@@ -19,9 +19,9 @@ from conf import (
 )
 from conf.commented import commented_yaml
 from conf.compose import FOLDER
-from env import floor_plans
 from env.checks import planned_config
 from env.config import EnvConfig
+from env.geometry import floor_plans
 
 
 def read(*path):

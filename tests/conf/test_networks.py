@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from conf import ap_network, compose, robot_network
-from experiments.reproduce import card
+from experiments.reproduce.export import card
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from env.config import MAX_PHASE_ACTIONS, EnvConfig
 from env.config_checks import problems
-from env.destinations import draw_destinations
-from env.radio_map import build_radio_map
+from env.mdp.destinations import draw_destinations
+from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World

@@ -11,13 +11,14 @@ import pytest
 
 import env
 from conf import ConfigError, compose, fingerprint
-from env import plugins, reward
+from env import plugins
 from env.checks import checked_config
-from env.destinations import draw_destinations
-from env.radio_map import build_radio_map
+from env.local_env import Slice
+from env.mdp import reward
+from env.mdp.destinations import draw_destinations
+from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from env.slice import Slice
 from env.world import World
 from experiments.cli import main
 

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import env
-from env.parallel_env import parallel_env
+from env.apis.parallel_env import parallel_env
 
 WORLDS = 3
 SLOTS = 6

@@ -21,12 +21,12 @@ from env.config import (
     TasksConfig,
     WallsConfig,
 )
-from env.destinations import draw_destinations
-from env.radio_map import build_radio_map
+from env.episode import EpisodeTally
+from env.local_env import Slice
+from env.mdp.destinations import draw_destinations
+from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from env.slice import Slice
-from env.tally import EpisodeTally
 from env.world import World
 
 NORTH, SOUTH, EAST, WEST = range(4)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from conf import compose, robot_network
-from env import oracles
-from env.tally import EpisodeTally
-from env.trajectory import shortest_ways
+from env.episode import EpisodeTally
+from env.oracles import per_slot
+from env.oracles.trajectory import shortest_ways
 from env.world import World
-from experiments import gap
+from experiments.analysis import optimality_gap
 from experiments.cli import main
-from server_app.evaluation import Evaluator
+from training.evaluation import Evaluator
 
 SHORTEST = ("env.robots=2", "env.room.cell_m=2.0")
 
@@ -47,8 +47,8 @@ def test_a_trained_baseline_is_played_and_compared_like_any_run(
 
 def test_best_powers_on_shortest_ways_are_the_oracles(tmp_path: Path) -> None:
     found = evaluated(tmp_path / "out.json", "baseline=shortest_best", *SHORTEST, "--episodes", "6")
-    oracle = gap.shortest_measures(Evaluator(compose(SHORTEST), episodes=6), 0)
-    expected = oracle[gap.POWERS].summary()
+    oracle = optimality_gap.shortest_measures(Evaluator(compose(SHORTEST), episodes=6), 0)
+    expected = oracle[optimality_gap.POWERS].summary()
     assert list(found) == ["eps = 0"]
     for measure in ("ee", "sum_rate", "min_rate", "success", "path_ratio"):
         assert found["eps = 0"][measure] == pytest.approx(expected[measure], rel=1e-12)
@@ -74,16 +74,16 @@ def test_the_oracle_phase_with_canonical_powers_is_the_best_of_each_slot(tmp_pat
     while world.driving.any():
         sums = np.stack([_sum_rate(world, phase) for phase in range(4)])
         phase = sums.argmax(axis=0)
-        gain = oracles.phase_gains(world)[rows, phase]
-        level = oracles.canonical_levels(gain, world.driving, 6)
+        gain = per_slot.phase_gains(world)[rows, phase]
+        level = per_slot.canonical_levels(gain, world.driving, 6)
         tally.add(world.step(phase, shortest_ways(world, world.cell), level))
     assert found["sum_rate"] == pytest.approx(tally.measures().summary()["sum_rate"], rel=1e-12)
 
 
 def _sum_rate(world: World, phase: int) -> np.ndarray:
     """The sum rate of a slot under a phase with canonical powers, shape (B,)."""
-    gain = oracles.phase_gains(world)[:, phase]
-    level = oracles.canonical_levels(gain, world.driving, 6)
+    gain = per_slot.phase_gains(world)[:, phase]
+    level = per_slot.canonical_levels(gain, world.driving, 6)
     return world.downlink.allocate(gain, level, world.driving).rate.sum(axis=-1)
 
 

@@ -14,8 +14,8 @@ import pytest
 
 from conf import compose, from_yaml
 from experiments.cli import main
-from experiments.evaluate import read_config
-from server_app.history import MEASURES
+from training.recording.history import MEASURES
+from training.recording.reading import read_config
 
 Refused = Callable[..., str]
 
@@ -127,7 +127,7 @@ def test_krum_needs_three_robots(refused: Refused) -> None:
 def test_more_clients_than_flowers_engine_runs_are_refused(
     refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server_app.preflight.os.cpu_count", lambda: 1)
+    monkeypatch.setattr("training.preflight.os.cpu_count", lambda: 1)
     said = refused("train", "env.robots=6", "federation.clients=6")
     assert_one_sentence(said)
     assert "federation.clients=6" in said

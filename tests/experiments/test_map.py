@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from env.radio_map import build_radio_map
+from env.radio.radio_map import build_radio_map
 from experiments.cli import main
-from experiments.map import gains_db, means
-from server_app.preflight import checked
+from experiments.commands.map import gains_db, means
+from training.preflight import checked
 
 BEAMS = ("env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]")
 

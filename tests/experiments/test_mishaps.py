@@ -17,12 +17,13 @@ import pytest
 from rich.console import Console
 
 from conf import ConfigError
-from experiments import display, runner
 from experiments.batch import watch
 from experiments.cli import main
+from experiments.console import display
+from experiments.console.mishaps import in_words
+from experiments.console.steady import Steady, steady_output
 from experiments.flower import environment
-from experiments.mishaps import in_words
-from experiments.steady import Steady, steady_output
+from experiments.runtimes import runner
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 120.0
@@ -97,7 +98,7 @@ def test_no_error_of_the_system_is_said_by_its_number(
         monkeypatch.setitem(runner.RUNTIMES, "local", fail)
         assert main(["train", *SMALL]) == 1
     else:
-        monkeypatch.setattr("experiments.status.read_progress", fail)
+        monkeypatch.setattr("experiments.commands.status.read_progress", fail)
         assert main(["status", "run"]) == 1
     said = capsys.readouterr().err
     assert said.startswith("risfleet: ")

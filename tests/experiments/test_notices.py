@@ -8,7 +8,7 @@ import pytest
 
 from conf import ConfigError, compose
 from experiments.cli import main
-from experiments.notices import notices
+from experiments.console.notices import notices
 
 SHORT = ("runtime=local", "train.max_ticks=20", "federation.every=10", "evaluation.episodes=2")
 QUIET = ("run.figures=false", "run.tensorboard=false", "run.dir=run")

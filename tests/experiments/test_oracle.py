@@ -11,12 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from conf import compose, from_yaml
-from env import oracles
+from env.oracles import per_slot
 from env.world import World
-from experiments import gap
+from experiments.analysis import optimality_gap
 from experiments.cli import main
-from experiments.evaluate import read_weights
-from server_app.evaluation import Evaluator, Served
+from training.evaluation import Evaluator, Served
+from training.recording.reading import read_weights
 
 SMALL = ("env.robots=2", "env.room.cell_m=2.0")
 
@@ -27,7 +27,7 @@ def test_a_policys_paths_stay_when_phases_and_powers_are_replaced(tiny_run: Path
     evaluator = Evaluator(config, episodes=3)
 
     def best(world: World, served: Served) -> Served:
-        return oracles.best_phase_and_powers(world)
+        return per_slot.best_phase_and_powers(world)
 
     plain: list[NDArray[np.int64]] = []
     replaced: list[NDArray[np.int64]] = []
@@ -49,32 +49,34 @@ def test_a_service_that_replaces_nothing_changes_nothing(tiny_run: Path) -> None
 
 def test_oracles_are_ordered_as_their_freedom_is() -> None:
     evaluator = Evaluator(compose(SMALL), episodes=4)
-    found = gap.shortest_measures(evaluator, 0)
-    found[gap.TRAJECTORY] = gap.trajectory_measures(evaluator, 2)
+    found = optimality_gap.shortest_measures(evaluator, 0)
+    found[optimality_gap.TRAJECTORY] = optimality_gap.trajectory_measures(evaluator, 2)
     mean = {name: measures.ee.mean() for name, measures in found.items()}
-    assert mean[gap.RANDOM] < mean[gap.PHASE]
-    assert mean[gap.FIXED] <= mean[gap.PHASE]
-    assert (found[gap.POWERS].ee >= found[gap.PHASE].ee - 1e-12).all()
-    assert (found[gap.TRAJECTORY].ee >= found[gap.POWERS].ee - 1e-12).all()
-    assert mean[gap.TRAJECTORY] > mean[gap.POWERS]
+    assert mean[optimality_gap.RANDOM] < mean[optimality_gap.PHASE]
+    assert mean[optimality_gap.FIXED] <= mean[optimality_gap.PHASE]
+    assert (found[optimality_gap.POWERS].ee >= found[optimality_gap.PHASE].ee - 1e-12).all()
+    assert (found[optimality_gap.TRAJECTORY].ee >= found[optimality_gap.POWERS].ee - 1e-12).all()
+    assert mean[optimality_gap.TRAJECTORY] > mean[optimality_gap.POWERS]
     assert all((measures.success == 1).all() for measures in found.values())
 
 
 def test_the_parts_of_the_gap_add_up_and_the_first_two_are_no_loss(tiny_run: Path) -> None:
     config = from_yaml((tiny_run / "config.yaml").read_text())
     evaluator = Evaluator(config, episodes=4)
-    found = gap.policy_measures(evaluator, *read_weights(tiny_run, config))
-    assert (found[gap.POLICY_PHASE].ee >= found[gap.POLICY].ee - 1e-12).all()
-    assert (found[gap.POLICY_POWERS].ee >= found[gap.POLICY_PHASE].ee - 1e-12).all()
-    found[gap.TRAJECTORY] = gap.trajectory_measures(evaluator, 0)
-    parts = gap.gap(found, 0)
-    assert parts["whole"]["mean"] == sum(parts[name]["mean"] for name in gap.PARTS)
-    difference = found[gap.TRAJECTORY].ee - found[gap.POLICY].ee
+    found = optimality_gap.policy_measures(evaluator, *read_weights(tiny_run, config))
+    assert (found[optimality_gap.POLICY_PHASE].ee >= found[optimality_gap.POLICY].ee - 1e-12).all()
+    assert (
+        found[optimality_gap.POLICY_POWERS].ee >= found[optimality_gap.POLICY_PHASE].ee - 1e-12
+    ).all()
+    found[optimality_gap.TRAJECTORY] = optimality_gap.trajectory_measures(evaluator, 0)
+    parts = optimality_gap.gap(found, 0)
+    assert parts["whole"]["mean"] == sum(parts[name]["mean"] for name in optimality_gap.PARTS)
+    difference = found[optimality_gap.TRAJECTORY].ee - found[optimality_gap.POLICY].ee
     assert parts["whole"]["mean"] == pytest.approx(difference.mean(), rel=1e-12)
     for part in parts.values():
         assert part["low"] <= part["mean"] <= part["high"]
-    assert gap.gap(found, 0) == parts
-    assert gap.gap(found, 1) != parts
+    assert optimality_gap.gap(found, 0) == parts
+    assert optimality_gap.gap(found, 1) != parts
 
 
 def test_a_run_is_compared(
@@ -87,8 +89,8 @@ def test_a_run_is_compared(
     for word in ("2 held-out episodes", "policy, best phase", "trajectory", "in this order"):
         assert word in printed
     written = json.loads(out.read_text())
-    assert set(gap.STEPS) <= set(written["measures"])
-    assert set(written["gap"]) == {*gap.PARTS, "whole"}
+    assert set(optimality_gap.STEPS) <= set(written["measures"])
+    assert set(written["gap"]) == {*optimality_gap.PARTS, "whole"}
     frozen = tmp_path / "frozen.json"
     assert main(["evaluate", str(tiny_run), "--episodes", "2", "--json", str(frozen)]) == 0
     assert written["measures"]["policy"]["ee"] == json.loads(frozen.read_text())["eps = 0"]["ee"]

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from experiments.stopping import STOPPING, IgnoredSignals, ShieldedSignals, StopSignals
+from experiments.runtimes.stopping import STOPPING, IgnoredSignals, ShieldedSignals, StopSignals
 
 PATIENCE_S = 30.0
 
@@ -74,7 +74,7 @@ def test_a_run_that_begins_after_the_signal_is_told_too(tmp_path: Path) -> None:
 
 WORKER = """
 import subprocess, sys, time
-from experiments.stopping import IgnoredSignals
+from experiments.runtimes.stopping import IgnoredSignals
 with IgnoredSignals():
     child = subprocess.Popen(["sleep", "60"])
     print(child.pid, flush=True)

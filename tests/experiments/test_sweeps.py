@@ -13,10 +13,10 @@ import pytest
 from train_helpers import ENDLESS, PATIENCE_S, SMALL, Start, is_training, summary, wait_for
 
 from conf import Config, from_yaml
-from experiments import local, runner
 from experiments.cli import main
 from experiments.flower import FlowerError
-from server_app.session import STOP_FILE
+from experiments.runtimes import local, runner
+from training.session import STOP_FILE
 
 JOBLIB = "hydra/launcher=joblib"
 

@@ -12,13 +12,13 @@ import pytest
 from safetensors.numpy import load_file
 from train_helpers import ENDLESS, PATIENCE_S, SMALL, Start, is_training, summary, wait_for
 
-from agent import digest
 from conf import ConfigError, from_yaml
-from experiments import runner
 from experiments.cli import main
 from experiments.flower import FlowerError
-from experiments.folders import dated
-from server_app.session import STOP_FILE
+from experiments.runtimes import runner
+from experiments.runtimes.folders import dated
+from storage.checkpoint_files import digest
+from training.session import STOP_FILE
 
 
 @pytest.fixture(autouse=True)

@@ -12,14 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.flower import (
-    Connection,
-    FlowerError,
-    commands,
-    control,
-    environment,
-    variables,
-)
+from experiments.flower import Connection, FlowerError, commands, control, environment, variables
 from experiments.flower.keys import make_keys
 from experiments.flower.session import Session
 

@@ -23,14 +23,14 @@ from flower_helpers import (
     with_changes,
 )
 
-from agent import checkpoints
-from conf.places import server_folder
 from experiments.cli import main
 from experiments.flower.control import is_healthy
 from experiments.flower.environment import CONNECTION, HOST, flower_command, free_port
 from experiments.flower.manifest import write_connection
 from experiments.flower.processes import command, members, terminate
 from experiments.flower.session import Session
+from storage.checkpoint_files import checkpoints
+from storage.checkpoint_layout import server_folder
 
 pytestmark = [
     pytest.mark.slow,

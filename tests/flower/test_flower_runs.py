@@ -29,17 +29,13 @@ from flower_helpers import (
 )
 from safetensors.numpy import load_file
 
-from agent import checkpoints, digest
-from conf.places import server_folder
 from experiments.cli import main
 from experiments.flower import Components, superlink
 from experiments.flower.environment import child_environment, free_port
-from experiments.flower.processes import (
-    command,
-    members,
-    terminate,
-)
+from experiments.flower.processes import command, members, terminate
 from experiments.flower.session import Session
+from storage.checkpoint_files import checkpoints, digest
+from storage.checkpoint_layout import server_folder
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = {
@@ -396,7 +392,7 @@ def test_a_link_port_that_is_taken_after_the_check_fails_the_run_by_its_number(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("experiments.train.check_address", lambda config: None)
+    monkeypatch.setattr("experiments.commands.train.check_address", lambda config: None)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert train("run", "runtime=simulation", f"federation.link.port={port}") == 1

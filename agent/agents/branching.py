@@ -1,0 +1,176 @@
+"""A DQN that decides in parts: one network, a trunk for all and a head for each part.
+
+The loss is the mean over heads of each head's Huber loss on its action's value (Tavakoli et al.,
+AAAI 2018, with Huber's loss for the square and without their dueling stream), so the trunk
+gets the mean of what the heads send back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from agent.agents.stack import ReplayAgents
+from agent.config import AgentConfig
+from agent.exploration import NO_ACTION
+from agent.learning.buffers import Scratch
+from agent.learning.gradients import Backward, Forward
+from agent.learning.heads import HeadRows, Heads
+from agent.learning.learner import Gradients, Learner
+from agent.learning.losses import huber
+from agent.networks.mlp import FloatArray, NetworkShape, forward
+
+
+class BranchingDQN(ReplayAgents):
+    """One agent with several heads, each of which explores by itself."""
+
+    def __init__(
+        self,
+        shape: NetworkShape,
+        heads: Heads,
+        config: AgentConfig,
+        generator: np.random.Generator,
+    ) -> None:
+        """Makes an agent with weights of zero; `load` gives it its first ones.
+
+        Args:
+            shape: of the network, whose actions are all heads' together.
+            heads: in the order of the actions.
+            config: how it learns.
+            generator: its own.
+        """
+        self.heads = heads
+        self._layout = HeadRows(shape.inputs, len(heads.sizes))
+        learner = BranchingLearner(shape, heads, config, self._layout)
+        super().__init__(shape, config, learner, [generator])
+        self._layers = shape.views(self.online)
+        self._one = np.ones(1, dtype=bool)
+
+    def choose(
+        self, observation: FloatArray, epsilon: float, active: NDArray[np.bool_]
+    ) -> NDArray[np.int32]:
+        """Chooses each part epsilon-greedily.
+
+        Args:
+            observation: shape (inputs,).
+            epsilon: share of random actions, for each head by itself.
+            active: which heads have something to decide, shape (H,).
+
+        Returns:
+            Actions, -1 for the idle, shape (H,).
+        """
+        draw = self._generators[0].random
+        choices = self.heads.best(forward(self._layers, observation[None, None])[0, 0]).tolist()
+        for head, decides in enumerate(active.tolist()):
+            if not decides:
+                choices[head] = NO_ACTION
+            elif draw() < epsilon:
+                choices[head] = int(draw() * self.heads.sizes[head])
+        return np.array(choices, np.int32)
+
+    def learn(
+        self,
+        observation: ArrayLike,
+        actions: ArrayLike,
+        rewards: ArrayLike,
+        next_observation: ArrayLike,
+        terminal: ArrayLike,
+        active: NDArray[np.bool_],
+    ) -> float:
+        """Stores a transition and, once enough are held, takes one gradient step.
+
+        Args:
+            observation: shape (inputs,).
+            actions: of each head, shape (H,); any for an idle one.
+            rewards: of each, unscaled, shape (H,).
+            next_observation: shape (inputs,).
+            terminal: whether each head's part has ended for good, shape (H,).
+            active: which heads had something to decide, shape (H,).
+
+        Returns:
+            The mean loss, nan where no update was made.
+        """
+        scaled = np.multiply(rewards, self._config.reward_scale)
+        chosen = np.maximum(actions, 0)
+        row = self._rows[0]
+        self._layout.pack(observation, chosen, scaled, next_observation, terminal, active, row)
+        return float(self._take_rows(self._one)[0])
+
+
+class BranchingLearner(Learner):
+    """The learner of one network with several heads."""
+
+    def __init__(
+        self, shape: NetworkShape, heads: Heads, config: AgentConfig, layout: HeadRows
+    ) -> None:
+        """Reserves the network's rows, all zero."""
+        self._heads, self._layout = heads, layout
+        super().__init__(shape, config, 0.0, 1, width=layout.width)
+        self._scratch = Scratch(shape, config, 2, 1)
+
+    def _new_span(self, start: int, stop: int) -> Gradients:
+        return _HeadGradients(
+            self._shape,
+            self._heads,
+            self._config,
+            self._weights,
+            self._gradient[:, 0],
+            self._layout,
+            self.batch[0],
+            self._scratch,
+        )
+
+
+class _HeadGradients:
+    """The arithmetic of one gradient step, `agent.learning.gradients.Span`'s for several heads."""
+
+    def __init__(
+        self,
+        shape: NetworkShape,
+        heads: Heads,
+        config: AgentConfig,
+        weights: torch.Tensor,
+        gradient: torch.Tensor,
+        layout: HeadRows,
+        batch: FloatArray,
+        scratch: Scratch,
+    ) -> None:
+        """Plans the step of one network's rows (1, 2, P) on a batch (B, row width)."""
+        size, inputs = len(batch), shape.inputs
+        self._heads, self._config, self._layout, self._batch = heads, config, layout, batch
+        self._states = batch[:, : 2 * inputs].reshape(size, 2, inputs).transpose(1, 2, 0)
+        self._forward = Forward(shape, weights, scratch.layers)
+        self._chooser = None
+        if scratch.chooser is not None:
+            self._chooser = Forward(shape, weights[:, :1], scratch.chooser)
+        read = self._forward.activations
+        self._backward = Backward(shape, weights[:, 0], gradient, read, scratch.slopes)
+        self._sample = np.arange(size)
+
+    def run(self) -> FloatArray:
+        """Computes the gradient; returns the mean loss, shape (1,)."""
+        self._forward.inputs[0] = self._states
+        self._forward.run()
+        rows, layout = self._batch.T, self._layout
+        active = rows[layout.active]
+        places = rows[layout.actions].astype(np.intp) + self._heads.starts[:, None]
+        error = self._forward.q[0, 0][places, self._sample] - self._targets(active)
+        losses, slope = huber(error, self._config.huber_delta)
+        share = active / np.float32(active.size)
+        self._backward.slope.fill(0)
+        self._backward.slope[0, places, self._sample] = slope * share
+        self._backward.run()
+        return np.array([(losses * share).sum()], np.float32)
+
+    def _targets(self, active: FloatArray) -> FloatArray:
+        """TD targets of the batch, shape (H, B)."""
+        chosen = None
+        if self._chooser is not None:
+            self._chooser.inputs[0, 0] = self._forward.inputs[0, 1]
+            self._chooser.run()
+            chosen = self._chooser.q[0, 0]
+        values = self._heads.values(self._forward.q[0, 1], chosen)
+        terminal = self._batch.T[self._layout.terminal]
+        rewards = self._batch.T[self._layout.rewards]
+        return self._heads.targets(rewards, terminal, active * (1 - terminal), values)

@@ -1,0 +1,95 @@
+"""DQN agents: replay, exploration and learner of n agents that act and learn in lockstep.
+
+Mnih et al., "Human-level control through deep reinforcement learning", Nature 518 (2015).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from agent.agents.stack import ReplayAgents
+from agent.config import AgentConfig
+from agent.exploration import explore
+from agent.learning.learner import Learner
+from agent.networks.mlp import FloatArray, NetworkShape
+from agent.replay.n_step import ReturnWindow
+from agent.replay.uniform import RowLayout
+
+
+class DQN(ReplayAgents):
+    """n independent DQN agents of one shape.
+
+    Agents share nothing but the calls: each has its own weights, moments, replay and random
+    stream, and ends in the same bits alone, stacked with others, or moved between stacks.
+    """
+
+    def __init__(
+        self,
+        shape: NetworkShape,
+        config: AgentConfig,
+        discount: float,
+        generators: Sequence[np.random.Generator],
+        proximal_mu: float = 0.0,
+    ) -> None:
+        """Makes agents with weights of zero; `load` gives them their first ones.
+
+        Args:
+            shape: of each agent's network.
+            config: how they learn.
+            discount: at least 0 and below 1.
+            generators: each agent's own, n of them.
+            proximal_mu: FedProx's mu; 0 leaves the term out.
+        """
+        learner = Learner(shape, config, discount, len(generators), proximal_mu)
+        super().__init__(shape, config, learner, generators)
+        self._layout = RowLayout(shape.inputs)
+        if config.n_step > 1 and discount:  # without a discount nothing further is ahead
+            self._windows = [
+                ReturnWindow(self._layout, config.n_step, discount) for _ in self._generators
+            ]
+
+    def act(
+        self, observations: FloatArray, epsilon: float, active: NDArray[np.bool_]
+    ) -> NDArray[np.int32]:
+        """Chooses epsilon-greedily.
+
+        Args:
+            observations: shape (n, inputs).
+            epsilon: share of random actions.
+            active: who acts, shape (n,).
+
+        Returns:
+            Actions, -1 for the idle, shape (n,).
+        """
+        choices = explore(self._generators, epsilon, self.shape.actions, active)
+        self._learner.choose(observations, choices)
+        return choices
+
+    def learn(
+        self,
+        observations: ArrayLike,
+        actions: ArrayLike,
+        rewards: ArrayLike,
+        next_observations: ArrayLike,
+        terminal: ArrayLike,
+        active: NDArray[np.bool_],
+    ) -> FloatArray:
+        """Stores the active agents' transitions and lets those learn that hold enough.
+
+        Args:
+            observations: shape (n, inputs).
+            actions: shape (n,).
+            rewards: unscaled, shape (n,).
+            next_observations: shape (n, inputs).
+            terminal: whether the next state is the end, shape (n,).
+            active: who has a transition, shape (n,).
+
+        Returns:
+            Mean losses, nan where no update was made, shape (n,).
+        """
+        scaled = np.multiply(rewards, self._config.reward_scale)
+        self._layout.pack(observations, actions, scaled, next_observations, terminal, self._rows)
+        return self._take_rows(active)

@@ -1,0 +1,190 @@
+"""What agents that learn from replay have in common: weights, replays, streams, and their state.
+
+How they choose, and what a transition holds, is the subclasses' (`agent.agents.dqn`,
+`agent.agents.branching`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.config import AgentConfig
+from agent.learning.interface import Learns
+from agent.networks.mlp import FloatArray, NetworkShape
+from agent.replay.n_step import ReturnWindow
+from agent.replay.prioritised import PrioritisedReplay
+from agent.replay.uniform import Replay
+from storage.generators import generator_state, restore_generator
+
+State = dict[str, NDArray[np.generic]]
+
+
+class ReplayAgents:
+    """n independent agents of one shape, each with a replay and a random stream of its own.
+
+    Attributes:
+        shape: of each agent's network.
+        online: the online networks, shape (n, P), a view of the learner's memory.
+        target: the target networks, likewise.
+    """
+
+    def __init__(
+        self,
+        shape: NetworkShape,
+        config: AgentConfig,
+        learner: Learns,
+        generators: Sequence[np.random.Generator],
+    ) -> None:
+        """Makes agents with weights of zero; `load` gives them their first ones.
+
+        Args:
+            shape: of each agent's network.
+            config: how they learn.
+            learner: of n agents.
+            generators: each agent's own, n of them.
+        """
+        self.shape, self._config, self._learner = shape, config, learner
+        self._generators = list(generators)
+        width = learner.batch.shape[-1]
+        self._replays = [self._new_replay(agent, width) for agent in range(len(self))]
+        self._windows: list[ReturnWindow] = []
+        self._rows: FloatArray = np.zeros((len(self), width), np.float32)
+        self.online: FloatArray = learner.weights[:, 0]
+        self.target: FloatArray = learner.weights[:, 1]
+
+    def __len__(self) -> int:
+        """The number of agents, n."""
+        return len(self._generators)
+
+    def load(self, weights: FloatArray) -> None:
+        """Takes networks, as after an aggregation; they become FedProx's anchor too.
+
+        Args:
+            weights: online and target, shape (2, P) for all or (n, 2, P).
+        """
+        each = self._learner.weights.shape
+        if weights.shape not in (each[1:], each):
+            raise ValueError(f"weights have shape {weights.shape}, not {each[1:]} or {each}")
+        self._learner.weights[:] = weights
+        self._learner.anchor[:] = self.online
+
+    def weights(self) -> FloatArray:
+        """A copy of the online and target networks, shape (n, 2, P)."""
+        return self._learner.weights.copy()
+
+    def _take_rows(self, active: NDArray[np.bool_]) -> FloatArray:
+        """Stores the active agents' rows and lets those learn that hold enough.
+
+        Args:
+            active: whose of the rows counts, shape (n,).
+
+        Returns:
+            Mean losses, nan where no update was made, shape (n,).
+        """
+        stored = [self._store(agent) if acts else 0 for agent, acts in enumerate(active.tolist())]
+        learning = [
+            acts and len(replay) >= self._config.learn_from
+            for acts, replay in zip(active.tolist(), self._replays, strict=True)
+        ]
+        losses = self._update(learning)
+        for _ in range(self._config.updates - 1):
+            losses += self._update(learning)
+        losses /= self._config.updates
+        if self._config.target.tau is None:
+            for agent, replay in enumerate(self._replays):
+                if replay.added % self._config.target.every < stored[agent]:
+                    self._learner.copy_to_target(agent)
+        return losses
+
+    def _new_replay(self, agent: int, width: int) -> Replay:
+        config, weighing = self._config, self._learner.weighing
+        if weighing is None:
+            return Replay(config.replay_size, width)
+        places = weighing.importance[agent], weighing.error[agent]
+        return PrioritisedReplay(config.replay_size, width, config.priority, *places)
+
+    def _store(self, agent: int) -> int:
+        """Stores an agent's row, or what its window has ready; returns how many were stored."""
+        row, replay = self._rows[agent], self._replays[agent]
+        ready = self._windows[agent].add(row) if self._windows else [row]
+        for each in ready:
+            replay.add(each)
+        return len(ready)
+
+    def _update(self, learning: Sequence[bool]) -> FloatArray:
+        """Lets agents take one gradient step each, on transitions drawn anew; mean losses."""
+        learners = [agent for agent, learns in enumerate(learning) if learns]
+        for agent in learners:
+            self._replays[agent].sample(self._generators[agent], self._learner.batch[agent])
+        losses = self._learner.update(learning)
+        for agent in learners:
+            self._replays[agent].learned()
+        return losses
+
+    def agent_state(self, agent: int) -> State:
+        """All that one agent needs to go on to the same bits, in this stack or another.
+
+        Args:
+            agent: its place in the stack.
+
+        Returns:
+            Copies, by name.
+        """
+        learner, replay = self._learner, self._replays[agent]
+        window = {"window": self._windows[agent].rows()} if self._windows else {}
+        return {
+            **window,
+            **replay.marks(),
+            "weights": learner.weights[agent].copy(),
+            "moments": learner.moments[agent].copy(),
+            "anchor": learner.anchor[agent].copy(),
+            "updates": learner.steps[agent].astype(np.int64).reshape(1),
+            "replay": replay.rows(),
+            "stored": np.array([replay.added], np.int64),
+            "generator": generator_state(self._generators[agent]),
+        }
+
+    def restore_agent(self, agent: int, state: Mapping[str, NDArray[np.generic]]) -> None:
+        """Takes back what `agent_state` gave; a wrong shape is a ValueError.
+
+        Args:
+            agent: its place in this stack.
+            state: from an agent of the same shape and configuration.
+        """
+        learner = self._learner
+        for name, place in (
+            ("weights", learner.weights[agent]),
+            ("moments", learner.moments[agent]),
+            ("anchor", learner.anchor[agent]),
+        ):
+            if state[name].shape != place.shape:
+                raise ValueError(
+                    f"{name} of shape {state[name].shape} do not fit this network: {place.shape}"
+                )
+        self._replays[agent].restore(state["replay"], int(state["stored"][0]))
+        self._replays[agent].restore_marks(state)
+        if self._windows:
+            self._windows[agent].restore(state["window"])
+        learner.weights[agent], learner.moments[agent] = state["weights"], state["moments"]
+        learner.anchor[agent], learner.steps[agent] = state["anchor"], state["updates"][0]
+        restore_generator(self._generators[agent], state["generator"])
+
+    def state(self) -> State:
+        """The states of all agents, named ``0/weights``, ``0/moments`` and so on."""
+        return {
+            f"{agent}/{name}": array
+            for agent in range(len(self))
+            for name, array in self.agent_state(agent).items()
+        }
+
+    def restore(self, state: Mapping[str, NDArray[np.generic]]) -> None:
+        """Takes back what `state` gave."""
+        for agent in range(len(self)):
+            own = f"{agent}/"
+            self.restore_agent(
+                agent,
+                {key.removeprefix(own): a for key, a in state.items() if key.startswith(own)},
+            )

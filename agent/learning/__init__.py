@@ -1,0 +1,1 @@
+"""Losses, gradients by hand, and the learner of stacked agents."""

@@ -1,0 +1,1 @@
+"""Networks as flat rows, how outputs become action values, absurd weights."""

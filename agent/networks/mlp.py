@@ -1,0 +1,141 @@
+"""The network: how a multilayer perceptron lies in one flat row, and the forward used to act.
+
+A row holds, layer after layer, the weight matrix [inputs, outputs] and then the bias
+[outputs]. The bias is thus one further row of its matrix, which the learner uses: an input
+with a constant 1 appended needs one product for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.networks.dueling import DuelingHead
+
+if TYPE_CHECKING:
+    import torch
+
+FloatArray = NDArray[np.float32]
+Rows = TypeVar("Rows", FloatArray, "torch.Tensor")
+
+
+@dataclass(frozen=True)
+class NetworkShape:
+    """Sizes of a multilayer perceptron with ReLU between its layers.
+
+    With ``dueling`` the last layer has one output more, the value of the state, and what it says
+    of an action is that action's advantage (see `agent.dueling`).
+    """
+
+    inputs: int
+    hidden: tuple[int, ...]
+    actions: int
+    dueling: bool = False
+
+    @property
+    def head(self) -> DuelingHead | None:
+        """What makes action values of the last layer's outputs; None: they are."""
+        return DuelingHead(self.actions) if self.dueling else None
+
+    @property
+    def layers(self) -> list[tuple[int, int]]:
+        """(inputs, outputs) of each layer, first to last."""
+        head = self.head
+        last = self.actions if head is None else head.outputs
+        return list(pairwise((self.inputs, *self.hidden, last)))
+
+    @property
+    def parameters(self) -> int:
+        """P, the length of a network's flat row."""
+        return sum((inputs + 1) * outputs for inputs, outputs in self.layers)
+
+    def matrices(self, flat: Rows) -> list[Rows]:
+        """Each layer's weights with the bias as last row.
+
+        Args:
+            flat: networks' rows, NumPy or torch, shape (..., P).
+
+        Returns:
+            Views of shape (..., inputs + 1, outputs), one per layer.
+        """
+        found, at = [], 0
+        for inputs, outputs in self.layers:
+            size = (inputs + 1) * outputs
+            part = flat[..., at : at + size]
+            found.append(part.reshape(*flat.shape[:-1], inputs + 1, outputs))
+            at += size
+        return found
+
+    def views(self, flat: Rows) -> list[tuple[Rows, Rows]]:
+        """Each layer's weights and bias.
+
+        Args:
+            flat: networks' rows, NumPy or torch, shape (..., P).
+
+        Returns:
+            Views (W, b) of shapes (..., inputs, outputs) and (..., outputs), one pair per layer.
+        """
+        return [(matrix[..., :-1, :], matrix[..., -1, :]) for matrix in self.matrices(flat)]
+
+    def initial_weights(self, generator: np.random.Generator) -> FloatArray:
+        """Draws a network as ``torch.nn.Linear`` does: U(-1/sqrt(inputs), 1/sqrt(inputs)).
+
+        Args:
+            generator: the only source of randomness.
+
+        Returns:
+            The network's row, shape (P,).
+        """
+        flat = np.empty((1, self.parameters), np.float32)
+        for matrix in self.matrices(flat):
+            bound = 1 / np.sqrt(matrix.shape[1] - 1)
+            matrix[:] = generator.uniform(-bound, bound, matrix.shape)
+        row: FloatArray = flat[0]
+        return row
+
+
+def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray) -> FloatArray:
+    """Action values of several networks, each on its own observations.
+
+    Everything that acts or evaluates goes through here, so that the last bits agree. A network
+    gives the same bits whether others stand beside it or not.
+
+    Args:
+        shape: sizes of the networks.
+        weights: the networks' rows, shape (n, P).
+        observations: shape (n, B, inputs).
+
+    Returns:
+        Q(s, a), shape (n, B, actions).
+    """
+    return forward(shape.views(weights), observations, shape.head)
+
+
+def forward(
+    layers: Sequence[tuple[FloatArray, FloatArray]],
+    observations: FloatArray,
+    head: DuelingHead | None = None,
+) -> FloatArray:
+    """The same as `q_values`, on views that the caller has kept.
+
+    Args:
+        layers: what `NetworkShape.views` gave.
+        observations: shape (n, B, inputs).
+        head: `NetworkShape.head`.
+
+    Returns:
+        Q(s, a), shape (n, B, actions).
+    """
+    x = observations
+    last = len(layers) - 1
+    for depth, (weight, bias) in enumerate(layers):
+        x = np.matmul(x, weight)
+        x += bias[:, None]
+        if depth < last:
+            np.maximum(x, 0, out=x)
+    return x if head is None else head.action_values(x, axis=-1)

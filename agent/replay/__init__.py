@@ -1,0 +1,1 @@
+"""Transitions as packed rows: uniform, prioritised, and over several slots."""

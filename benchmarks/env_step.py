@@ -1,0 +1,120 @@
+"""The world's step, against a CartPole step and in a batch; and the making of a radio map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+
+from agent import single_threaded
+from benchmarks.result import Result, Target, micro, take_turns
+from conf import compose
+from env.config import EnvConfig
+from env.radio.radio_map import build_radio_map
+from env.scenario import Scenario
+from env.seeding import Stream, stream
+from env.world import World
+
+BATCH = 256
+MADE = 512
+VS_CARTPOLE = (
+    "processor time of World.step with rewards and the observations of 3 robots and AP, over that"
+    " of a CartPole-v1 step; random actions, resets included, blocks in turn"
+)
+BATCHED = f"world steps per processor second of {BATCH} worlds in a batch over one world"
+
+MAP = (
+    "processor time of the radio map of M = 1,600 elements with exact distances, 3,600 cells, over"
+    " that of 100,000 CartPole-v1 steps"
+)
+CODEBOOK = f"{MAP}; with a codebook of 6 x 6 beams"
+
+
+class Walk:
+    """Worlds under random actions, begun anew once every episode has ended."""
+
+    def __init__(self, scenario: Scenario, worlds: int) -> None:
+        self._world = World(scenario, stream(0, Stream.WORLD), worlds)
+        space, self._tick = scenario.actions, 0
+        rng = np.random.default_rng(0)
+        chosen = rng.integers(space.count, size=(MADE, worlds, self._world.robots))
+        self._moves = [*zip(*space.decode(chosen), strict=True)]
+        self._phases = rng.integers(self._world.phase_actions, size=(MADE, worlds))
+        self._world.reset()
+
+    def __call__(self, steps: int) -> None:
+        """Takes joint steps in every world."""
+        world = self._world
+        for _ in range(steps):
+            at = self._tick % MADE
+            self._tick += 1
+            outcome = world.step(self._phases[at], *self._moves[at])
+            world.global_observation(world.local_observations())
+            if (outcome.terminated | outcome.truncated).all():
+                world.reset()
+
+
+class CartPole:
+    """Gymnasium's CartPole-v1 as ``gymnasium.make`` gives it, under random actions."""
+
+    def __init__(self) -> None:
+        self._env = gymnasium.make("CartPole-v1")
+        self._moves = np.random.default_rng(0).integers(2, size=MADE).tolist()
+        self._tick = 0
+        self._env.reset(seed=0)
+
+    def __call__(self, steps: int) -> None:
+        """Takes steps."""
+        for _ in range(steps):
+            _, _, terminated, truncated, _ = self._env.step(self._moves[self._tick % MADE])
+            self._tick += 1
+            if terminated or truncated:
+                self._env.reset()
+
+
+def env_step(*, quick: bool = False) -> list[Result]:
+    """Measures the three results whose names begin with ``world_``."""
+    single_threaded()
+    steps, blocks = (100, 3) if quick else (500, 15)
+    scenario = Scenario.drawn(compose().env, 0)
+    variants = {
+        "world": Walk(scenario, 1),
+        "cartpole": CartPole(),
+        "batch": Walk(scenario, BATCH),
+    }
+    for variant in variants.values():
+        variant(200 if quick else 2000)  # the projections that are met most are then remembered
+    taken = take_turns(variants, steps, blocks)
+    micros = {f"{name}_us": micro(seconds) for name, seconds in taken.items()}
+    ratio = taken["world"] / taken["cartpole"]
+    gain = BATCH * taken["world"] / taken["batch"]
+    return [
+        Result.over(
+            "world_step_vs_cartpole_k3",
+            ratio,
+            "ratio",
+            VS_CARTPOLE,
+            Target(8, at_least=False),
+            micros,
+        ),
+        Result.over(
+            "world_batch_256_vs_1", gain, "ratio", BATCHED, Target(20, at_least=True), micros
+        ),
+        *_maps(scenario.config, 100_000 * float(np.median(taken["cartpole"])), 3 if quick else 9),
+    ]
+
+
+def _maps(config: EnvConfig, unit_s: float, blocks: int) -> list[Result]:
+    """The making of the largest radio maps, over a time in s."""
+    largest = replace(config, ris=replace(config.ris, side=40, response="near"))
+    beams = replace(largest, ris=replace(largest.ris, action="codebook"))
+    makers = {
+        "world_map_vs_100k_cartpole": lambda _: build_radio_map(largest),
+        "world_map_codebook_vs_100k_cartpole": lambda _: build_radio_map(beams),
+    }
+    taken = take_turns(makers, 1, blocks)
+    return [
+        Result.over(name, taken[name] / unit_s, "ratio", what, Target(1, at_least=False))
+        for name, what in zip(makers, (MAP, CODEBOOK), strict=True)
+    ]

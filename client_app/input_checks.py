@@ -1,0 +1,78 @@
+"""What no sound server tells a robot: caught here, before anything is learned from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.networks.limits import WEIGHT_LIMIT, magnitude
+
+RATE_LIMIT = 1024.0
+"""In bit/s/Hz: log2 of no float64 is larger."""
+
+CHANNEL_LIMIT_DB = 4000.0
+"""Beyond 10 lg of the least and of the largest float64."""
+
+_FIELDS = ["cell", "outcome_cell", "rate", "channel_db", "outcome_channel_db"]
+
+
+def check_told(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int) -> None:
+    """Checks what robots are told; a few microseconds for each, so before every tick.
+
+    Args:
+        tick: for the message.
+        robots: which these are.
+        updates: UPDATE records, one for each of them.
+        cells: how many the floor has.
+
+    Raises:
+        ValueError: a cell that is not on the floor, or a rate or channel that is not a number or
+            absurd; the message names tick, robot and value.
+    """
+    for robot, told in zip(robots, updates[_FIELDS].tolist(), strict=True):
+        cell, reached, rate, channel_db, reached_db = told
+        if not (
+            0 <= cell < cells
+            and 0 <= reached < cells
+            and 0.0 <= rate <= RATE_LIMIT
+            and -CHANNEL_LIMIT_DB <= channel_db <= CHANNEL_LIMIT_DB
+            and -CHANNEL_LIMIT_DB <= reached_db <= CHANNEL_LIMIT_DB
+        ):
+            values = ", ".join(
+                f"{name}={value:g}" for name, value in zip(_FIELDS, told, strict=True)
+            )
+            raise ValueError(
+                f"tick {tick}: robot {robot} was told what cannot be ({values}): cells are 0 to"
+                f" {cells - 1}, rates 0 to {RATE_LIMIT:g} bit/s/Hz, channels within"
+                f" {CHANNEL_LIMIT_DB:g} dB of 0"
+            )
+
+
+def check_rewards(
+    tick: int, robots: Sequence[int], reward: NDArray[np.float64], learning: NDArray[np.bool_]
+) -> None:
+    """Checks the rewards of the robots that learn from them.
+
+    Raises:
+        ValueError: one is not finite; the message names tick, robot and value.
+    """
+    for robot, value, learns in zip(robots, reward.tolist(), learning.tolist(), strict=True):
+        if learns and not -np.inf < value < np.inf:
+            raise ValueError(f"tick {tick}: the reward of robot {robot} is {value}")
+
+
+def check_model(window: int, weights: NDArray[np.float32]) -> None:
+    """Checks a global model before robots take it.
+
+    Raises:
+        ValueError: a weight is not finite or beyond ``WEIGHT_LIMIT``; the message names window and
+            value.
+    """
+    largest = magnitude(weights)
+    if not largest <= WEIGHT_LIMIT:
+        raise ValueError(
+            f"window {window}: the global model holds absurd weights ({largest:.3g}): finite ones"
+            f" of at most {WEIGHT_LIMIT:g} are taken"
+        )

@@ -1,0 +1,1 @@
+"""The world behind the interfaces of Gymnasium and PettingZoo."""

@@ -1,0 +1,340 @@
+"""The whole fleet as a PettingZoo parallel environment: every robot and the access point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import logger, spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
+
+from env.checks import checked_config, refuse
+from env.config import EnvConfig
+from env.geometry.floor import UNREACHABLE
+from env.mdp import lateness
+from env.scenario import Scenario
+from env.seeding import Stream, stream
+from env.world import Outcome, World
+
+if TYPE_CHECKING:
+    from env.rendering.frames import Picture
+
+AP = "ap"
+CHANNEL_BOUND = 10.0
+"""Bound of the channel's entry: |hbar|^2 from -270 to 130 dB, more than any floor has."""
+TEST_OPTION = "options"
+"""Means nothing: PettingZoo's own test of environments gives it to each of them."""
+
+Observations = dict[str, NDArray[np.float32]]
+Infos = dict[str, dict[str, Any]]
+
+
+class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
+    r"""K robots drive to their destinations while an access point steers an RIS for their rates.
+
+    ## Description
+
+    Each slot (1 s), each robot moves one cell of 0.5 m and picks the power of its downlink; the
+    access point sets the phases of the reconfigurable intelligent surface. Rates are those of NOMA
+    (of OMA with ``access=oma``) at the cells that robots leave. All of it is ``env.world.World``
+    with one world.
+
+    ## Agents
+
+    ``robot_0`` ... ``robot_{K-1}`` and ``ap``. A robot that has arrived leaves ``agents``.
+
+    ## Action Space
+
+    | Agent | Space               | Action                                                        |
+    |-------|---------------------|---------------------------------------------------------------|
+    | robot | ``Discrete(4 N_P)`` | direction (n, s, e, w) * N_P + level - 1; power P_max/2^level |
+    | ap    | ``Discrete(N_R^N)`` | its N base-N_R digits are phases, (digit + 1/2) 2 pi / N_R    |
+
+    With ``ris.action=codebook`` the access point's space is ``Discrete`` of the number of sectors,
+    and action ``a`` is the beam of sector ``a``, row by row from the bottom up.
+
+    A move out of the room stays put, with ``walls.block_motion`` also one through a wall, with
+    ``collisions=block`` one into another robot's cell (lower index first). Levels are picks: with
+    ``power.resolve=project`` the AP sends the nearest combination that every robot can decode.
+    With OMA they have no effect.
+
+    ## Observation Space
+
+    A robot's, ``Box``, float32, shape (5,), or (3,) with ``state.destination=none``:
+
+    | Num | Observation                                    | Min | Max |
+    |-----|------------------------------------------------|-----|-----|
+    | 0-1 | x and y over half the room's side, - 1         | -1  | 1   |
+    | 2   | (\|hbar\|^2 in dB + 70) / 20, direct channel   | -10 | 10  |
+    | 3-4 | way left in x and y over the room's side       | -1  | 1   |
+
+    The access point's, shape (8 K,) or (6 K,): for each robot in turn, zeros once it has arrived,
+
+    | Num | Observation                                    | Min | Max |
+    |-----|------------------------------------------------|-----|-----|
+    | 0-2 | the robot's 0-2                                |     |     |
+    | 3-4 | cos and sin of arg hbar                        | -1  | 1   |
+    | 5   | 1 while driving                                | 0   | 1   |
+    | 6-7 | the robot's 3-4                                | -1  | 1   |
+
+    ## Rewards
+
+    Not scaled. A robot: phi R + psi (distance gone towards the destination, in m) - 1, and + 100
+    where it arrives, with phi = 0.05 and psi = 3; the distance is straight, with
+    ``reward.distance=way`` the shortest over the floor. The access point: 0.1 times the sum of
+    rates. With ``metric=qoe`` the quality lg(R) of those that drive stands for R in both.
+
+    ## Starting State
+
+    Each robot in a random cell at least 10 m from its destination. Destinations are the first K of
+    ``tasks.destinations_m``; further ones are drawn once, from the constructor's ``seed``.
+    ``reset(seed=s)`` begins the stream of starts anew, the one of a training run with ``seed=s``,
+    and leaves the destinations. ``tasks.destination=random`` draws all of them, ``common`` sends
+    all robots to the first; ``tasks.start=fixed`` starts at ``tasks.starts_m``.
+    ``options={"starts_m": [[x, y], ...]}`` sets the starts.
+
+    ## Episode End
+
+    1. Termination: of a robot, when it arrives; of the access point, when all have.
+    2. Truncation: of all that are left after T_max slots (150).
+
+    Infos of a robot hold ``rate`` (bit/s/Hz), ``power_w``, ``gain_db`` (|h|^2 with the RIS),
+    ``sic_failed`` and ``arrived`` of the slot, and ``shortest_slots``, the length of the way that
+    is left; of the access point ``sum_rate``, ``projected`` and ``margin_dropped``. A reset has the
+    same keys: nothing has been sent, and ``gain_db`` is that of the direct channel.
+
+    ## Arguments
+
+    | Argument      | Default | Description                                                     |
+    |---------------|---------|-----------------------------------------------------------------|
+    | `config`      | `None`  | an `EnvConfig`, or what differs from it: `{"ris": {"side": 0}}` |
+    | `seed`        | `0`     | names drawn destinations, and the starts until `reset(seed)`    |
+    | `render_mode` | `None`  | `"rgb_array"`: a picture of the floor; `"ansi"`: text           |
+
+    ## Version History
+
+    * v0: initial version.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # PettingZoo's type
+        "name": "risfleet_v0",
+        "render_modes": ["rgb_array", "ansi"],
+        "render_fps": 10,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        config: EnvConfig | Mapping[str, Any] | None = None,
+        *,
+        seed: int = 0,
+        render_mode: str | None = None,
+    ) -> None:
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            raise ValueError(f"render_mode={render_mode!r}: allowed is None, {', '.join(modes)}")
+        self.config = checked_config(config)
+        self.render_mode = render_mode
+        scenario = Scenario.drawn(self.config, seed)
+        refuse(lateness.problems(self.config, scenario.destinations))
+        self.world = World(scenario, stream(seed, Stream.WORLD))
+        self.robots = [f"robot_{k}" for k in range(self.world.robots)]
+        self.possible_agents = [*self.robots, AP]
+        self.agents: list[str] = []
+        self._centres_m = self.world.floor.centres()
+        self._way: list[NDArray[np.int64]] = []
+        self._outcome: Outcome | None = None
+        self._picture: Picture | None = None
+        self._make_spaces()
+
+    def _make_spaces(self) -> None:
+        observer, world = self.world.observer, self.world
+        unit, channel = [1.0], [CHANNEL_BOUND]
+        offset = unit * (observer.local_size - 3)
+        local = np.array(unit * 2 + channel + offset, dtype=np.float32)
+        high = np.array((unit * 2 + channel + unit * 3 + offset) * world.robots, dtype=np.float32)
+        low = -high
+        low[5 :: len(high) // world.robots] = 0.0
+        actions = world.scenario.actions.count
+        self.observation_spaces: dict[str, spaces.Box[np.float32]] = {
+            name: spaces.Box(-local, local, dtype=np.float32) for name in self.robots
+        }
+        self.observation_spaces[AP] = spaces.Box(low, high, dtype=np.float32)
+        self.action_spaces = {name: spaces.Discrete(actions) for name in self.robots}
+        self.action_spaces[AP] = spaces.Discrete(world.phase_actions)
+        self.state_space = self.observation_spaces[AP]
+
+    def observation_space(self, agent: str) -> spaces.Box[np.float32]:
+        """The agent's observations; the same object at each call."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """The agent's actions; the same object at each call."""
+        return self.action_spaces[agent]
+
+    def state(self) -> NDArray[np.float32]:
+        """What the access point sees, s_G, shape (global_size,)."""
+        return np.asarray(self.world.global_observation()[0])
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Begins an episode; ``starts_m`` in the options is in m, shape (K, 2).
+
+        Raises:
+            ValueError: another option, or starts that cannot be.
+        """
+        starts = _starts_asked(options)
+        cell = None if starts is None else self._start_cells(starts)[None]
+        if seed is not None:
+            self.world.generator = stream(seed, Stream.WORLD)
+        self.world.reset(cell)
+        self.agents = list(self.possible_agents)
+        self._way, self._outcome = [self.world.cell[0]], None
+        return self._observations(), self._infos(self.world.direct[0])
+
+    def _start_cells(self, starts_m: Any) -> NDArray[np.int64]:
+        shown = starts_m.tolist() if isinstance(starts_m, np.ndarray) else starts_m
+        key, allowed = f"options.starts_m={shown!r}", f"{self.world.robots} positions [x, y] in m"
+        try:
+            position = np.asarray(starts_m, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{key}: allowed is {allowed}") from error
+        if position.shape != (self.world.robots, 2) or not np.isfinite(position).all():
+            raise ValueError(f"{key}: allowed is {allowed}")
+        if (position < 0).any() or (position >= self.world.floor.size_m).any():
+            raise ValueError(f"{key}: allowed is inside the room")
+        cell = self.world.floor.cell_at(position)
+        if (cell == self.world.destinations).any():
+            raise ValueError(f"{key}: allowed is off the destination")
+        cut_off = self.world.slots_to_go[cell, np.arange(len(cell))] == UNREACHABLE
+        if cut_off.any():
+            raise ValueError(f"{key}: allowed is with a way to drive")
+        if self.config.collisions == "block" and len({*cell.tolist()}) < len(cell):
+            raise ValueError(f"{key}: allowed is in cells of their own")
+        return cell
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        """One slot for all agents that are left; with none left, five empty dictionaries.
+
+        Raises:
+            ValueError: an agent's action is missing or outside its space.
+        """
+        if not self.agents:
+            if not self._way:
+                raise RuntimeError("step was called before reset")
+            return {}, {}, {}, {}, {}
+        live = self.agents
+        picks = np.array([[self._action(name, actions) for name in self.robots]])
+        phase = np.array([self._action(AP, actions)])
+        channel = self.world.channel(phase)[0]
+        outcome = self.world.step(phase, *self.world.scenario.actions.decode(picks))
+        self._way.append(self.world.cell[0])
+        self._outcome = outcome
+        ended = dict(zip(self.robots, outcome.arrived[0].tolist(), strict=True))
+        ended[AP] = bool(outcome.terminated[0])
+        paid = dict(zip(self.robots, outcome.local_reward[0].tolist(), strict=True))
+        paid[AP] = float(outcome.global_reward[0])
+        out_of_time = bool(outcome.truncated[0])
+        seen, infos = self._observations(), self._infos(channel)
+        self.agents = [name for name in live if not (ended[name] or out_of_time)]
+        return (
+            {name: seen[name] for name in live},
+            {name: paid[name] for name in live},
+            {name: ended[name] for name in live},
+            {name: out_of_time and not ended[name] for name in live},
+            {name: infos[name] for name in live},
+        )
+
+    def _action(self, agent: str, actions: Mapping[str, Any]) -> int:
+        """The agent's action, checked; -1 for a robot that has arrived."""
+        if agent not in self.agents:
+            return -1
+        space = self.action_spaces[agent]
+        action = actions.get(agent)
+        if action is None or not space.contains(action):
+            allowed = f"a whole number from 0 to {space.n - 1}"
+            raise ValueError(f"action of {agent}={action!r}: allowed is {allowed}")
+        return int(action)
+
+    def _observations(self) -> Observations:
+        local = self.world.local_observations()
+        seen = {name: local[0, k].copy() for k, name in enumerate(self.robots)}
+        return {**seen, AP: self.world.global_observation(local)[0]}
+
+    def _infos(self, channel: NDArray[np.complex128]) -> Infos:
+        """The infos of a slot, with h_k in it, shape (K,); of none after a reset."""
+        world, outcome = self.world, self._outcome
+        nothing = np.zeros(world.robots)
+        sent = outcome.allocation if outcome else None
+        columns = {
+            "rate": outcome.rate[0] if outcome else nothing,
+            "power_w": sent.power_w[0] if sent else nothing,
+            "gain_db": 20.0 * np.log10(np.abs(channel)),
+            "sic_failed": sent.sic_failed[0] if sent else nothing.astype(bool),
+            "arrived": outcome.arrived[0] if outcome else nothing.astype(bool),
+            "shortest_slots": world.shortest_slots[0],
+        }
+        infos: Infos = {
+            name: {key: column[k].item() for key, column in columns.items()}
+            for k, name in enumerate(self.robots)
+        }
+        infos[AP] = {
+            "sum_rate": float(columns["rate"].sum()),
+            "projected": bool(sent.projected[0]) if sent else False,
+            "margin_dropped": bool(sent.margin_dropped[0]) if sent else False,
+        }
+        return infos
+
+    def render(self) -> NDArray[np.uint8] | str | None:
+        """The floor and the ways so far: a picture, shape (480, 480, 3), or lines of text."""
+        if self.render_mode is None:
+            logger.warn('render needs render_mode="rgb_array" or "ansi" when the view is made')
+            return None
+        if not self._way:
+            raise RuntimeError("render was called before reset")
+        rate = np.zeros(self.world.robots) if self._outcome is None else self._outcome.rate[0]
+        title = (
+            f"slot {self.world.slot[0]} of {self.config.motion.max_slots},"
+            f" {self.world.driving.sum()} of {self.world.robots} driving,"
+            f" {rate.sum():.1f} bit/s/Hz"
+        )
+        ways_m = self._centres_m[np.stack(self._way)]
+        goals_m = self._centres_m[self.world.destinations]
+        if self.render_mode == "ansi":
+            rows = zip(self.robots, ways_m[-1].tolist(), goals_m.tolist(), rate, strict=True)
+            lines = (
+                f"{name} at {at} m, to {goal} m, {r:.2f} bit/s/Hz" for name, at, goal, r in rows
+            )
+            return "\n".join((title, *lines))
+        from env.rendering.frames import Picture  # matplotlib: only where somebody looks
+
+        self._picture = self._picture or Picture(self.world)
+        return self._picture.frame(ways_m, goals_m, title)
+
+    def close(self) -> None:
+        """Lets the picture go."""
+        self._picture = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the picture, which is drawn again when it is needed."""
+        return {**self.__dict__, "_picture": None}
+
+
+def parallel_env(**kwargs: Any) -> RISFleetParallelEnv:
+    """Makes the environment, under the name that PettingZoo's tools look for."""
+    return RISFleetParallelEnv(**kwargs)
+
+
+def _starts_asked(options: Mapping[str, Any] | None) -> Any:
+    """``starts_m`` of a reset's options, None without."""
+    if options is not None and not isinstance(options, Mapping):
+        raise ValueError(f"options={options!r}: allowed is a mapping with starts_m, or None")
+    for name, value in (options or {}).items():
+        if name not in ("starts_m", TEST_OPTION):
+            raise ValueError(f"options.{name}={value!r}: allowed is the option starts_m alone")
+    return (options or {}).get("starts_m")

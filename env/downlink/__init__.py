@@ -1,0 +1,1 @@
+"""Rates of NOMA and OMA, and powers that can be decoded."""

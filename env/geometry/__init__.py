@@ -1,0 +1,1 @@
+"""The floor: cells, walls, plans and distances."""

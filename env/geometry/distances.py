@@ -1,0 +1,39 @@
+"""The distances by which rewards guide robots: straight, or along the way over the floor."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.geometry.floor import Floor
+
+
+def distance_m(
+    position_m: NDArray[np.float64], destination_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """d_{D,k}: the Euclidean distance to the destination in m, shape (...) of (..., 2)."""
+    offset = destination_m - position_m
+    return np.sqrt(offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1])
+
+
+def straight_m(floor: Floor, destinations: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Euclidean distances of all cells to each destination in m, shape (cells, n) for (n,)."""
+    centres = floor.centres()
+    return distance_m(centres[:, None], centres[destinations])
+
+
+def distances_m(floor: Floor, destinations: NDArray[np.int64], along: str) -> NDArray[np.float64]:
+    """d_{D,k} of Eq. (11) at every cell, the world's and the robots' one table.
+
+    Args:
+        floor: the floor.
+        destinations: cells, shape (n,).
+        along: ``env.reward.distance``: ``straight`` is the paper's Euclidean distance; ``way`` the
+            shortest length over the floor, which does not lead into dead ends behind solid walls.
+
+    Returns:
+        Distances in m, shape (cells, n).
+    """
+    if along == "way":
+        return np.asarray(floor.slots_to(destinations) * floor.cell_m)
+    return straight_m(floor, destinations)

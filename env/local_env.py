@@ -1,0 +1,65 @@
+"""A robot's slice of the environment: its task, what it sees and what it gains.
+
+The world tells a robot only what it could measure: its cell, its direct channel, the rate it was
+served with, whether it has arrived. Observation and reward are made here, on the robot's side.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.mdp.observation import CHANNEL, scaled_channel
+from env.scenario import Scenario
+
+
+class Slice:
+    """The slices of n robots.
+
+    Args:
+        scenario: of these robots alone (``Scenario.of``).
+
+    Attributes:
+        cells: how many the floor has.
+        observation_size: of s_L.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        observer, destinations = scenario.observer, scenario.destinations
+        self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
+        self._robot = np.arange(len(destinations))
+        self.cells = len(self._distance_m)
+        self.observation_size = observer.local_size
+        everywhere = np.broadcast_to(np.arange(self.cells)[:, None], self._distance_m.shape)
+        silence_db = np.zeros(everywhere.shape, np.float32)
+        self._standing = observer.local(everywhere, silence_db, destinations)  # but the channel
+
+    def observe(
+        self, cell: NDArray[np.int32], channel_db: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """s_L of each robot, float32, shape (n, local_size)."""
+        state = self._standing[cell, self._robot]
+        state[:, CHANNEL] = scaled_channel(channel_db)
+        return state
+
+    def reward(
+        self,
+        rate: NDArray[np.float64],
+        left: NDArray[np.int32],
+        reached: NDArray[np.int32],
+        arrived: NDArray[np.bool_],
+    ) -> NDArray[np.float64]:
+        """r_L of each robot: Eq. (11), or the user's own reward.
+
+        Args:
+            rate: R_k in bit/s/Hz, shape (n,).
+            left: the cell that each robot left, shape (n,).
+            reached: the cell that it moved to, shape (n,).
+            arrived: whether that is its destination, shape (n,).
+
+        Returns:
+            Rewards, unscaled, shape (n,).
+        """
+        before = self._distance_m[left, self._robot]
+        after = self._distance_m[reached, self._robot]
+        return self._rewards.local(rate, before, after, arrived)

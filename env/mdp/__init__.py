@@ -1,0 +1,1 @@
+"""Actions, observations, rewards, starts, destinations and collisions."""

@@ -1,0 +1,244 @@
+"""What is best in one slot: shortest ways, canonical powers, the best phase, the best powers.
+
+Pure functions of the state of B worlds of K robots; nothing here steps a world. Powers and rates
+come from the world's own ``Downlink``, so an oracle is bound by what binds the agents. Best is the
+largest weighted sum of the metric over the robots that drive: of R_k, or of eta_k with
+``metric=qoe``. Searches are exhaustive, in parts of a bounded size, A being the number of phase
+settings and ties going to the lowest action.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations, product
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.downlink import access
+from env.geometry.floor import STEPS
+from env.mdp import reward
+from env.mdp.reward import motion_energy_j
+from env.world import World
+
+MAX_COMBINATIONS = 200_000
+"""Worlds times phases times powers that are searched at once, and most powers: some 100 MB."""
+
+
+def shortest_directions(world: World) -> NDArray[np.int64]:
+    """The next move of a shortest way, round solid walls too.
+
+    Of the moves that shorten the way, one along the axis on which the destination is farther, x
+    where both are equal; on that axis, or off it, one towards the destination rather than away.
+
+    Args:
+        world: B worlds; not changed.
+
+    Returns:
+        Indices into ``floor.DIRECTIONS``, shape (B, K) (of no meaning at the destination itself,
+        where there is nothing left to drive).
+    """
+    floor, goal = world.floor, world.destinations
+    right = goal % floor.columns - world.cell % floor.columns
+    up = goal // floor.columns - world.cell // floor.columns
+    robot = np.arange(world.robots)
+    there = world.slots_to_go[world.next_cell[world.cell], robot[:, None]]
+    shorter = there < world.slots_to_go[world.cell, robot][..., None]
+    longer = (np.abs(right) >= np.abs(up))[..., None] == (STEPS[:, 0] != 0)
+    towards = right[..., None] * STEPS[:, 0] + up[..., None] * STEPS[:, 1] > 0
+    return np.asarray(np.where(shorter, 1 + 2 * longer + towards, 0).argmax(axis=-1))
+
+
+def phase_gains(world: World) -> NDArray[np.float64]:
+    """|h_k|^2 of every robot under every phase setting, shape (B, A, K)."""
+    return _gains(world, np.arange(len(world.cell)), np.arange(world.phase_actions))
+
+
+def _gains(world: World, rows: NDArray[np.int64], phases: NDArray[np.int64]) -> NDArray[np.float64]:
+    """|h_k|^2 of some of the worlds under some of the phase settings, shape (b, a, K)."""
+    direct = world.direct[rows][:, None] if world.config.channel.fading == "slot" else None
+    return world.radio_map.gain(world.cell[rows][:, None], phases[None], direct)
+
+
+def canonical_levels(
+    gain: NDArray[np.float64], driving: NDArray[np.bool_], levels: int
+) -> NDArray[np.int64]:
+    """Power levels by rank: of n robots that drive, the strongest P/2^n, ..., the weakest P/2.
+
+    Args:
+        gain: |h_k|^2, shape (..., K).
+        driving: which robots are driving, broadcast against ``gain``.
+        levels: N_P; where n is larger, the strongest robots share level N_P.
+
+    Returns:
+        Levels 1..N_P, of the broadcast shape; 1 for a robot that is not driving.
+    """
+    gain, driving = np.broadcast_arrays(gain, driving)
+    count = driving.sum(axis=-1, keepdims=True)
+    return np.asarray(np.clip(count - _ranks(gain, driving), 1, levels))
+
+
+def best_phase(
+    world: World, level: NDArray[np.int64], weights: NDArray[np.float64] | None = None
+) -> NDArray[np.int64]:
+    """The phase setting with the largest sum of the metric, given the robots' power picks.
+
+    Args:
+        world: B worlds; not changed.
+        level: power levels 1..N_P, shape (B, K), or (B, A, K) where picks depend on the phase.
+        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
+
+    Returns:
+        The AP's actions, shape (B,).
+    """
+    phases, weights = np.arange(world.phase_actions), _weights(world, weights)
+    picks = level if level.ndim > 2 else level[:, None]
+    best = np.zeros(len(world.cell), dtype=np.int64)
+    for at in _parts(np.arange(len(best)), max(1, MAX_COMBINATIONS // len(phases))):
+        metric = _metric(world, _gains(world, at, phases), picks[at], world.driving[at][:, None])
+        best[at] = (metric * weights[at][:, None]).sum(axis=-1).argmax(axis=-1)
+    return best
+
+
+def best_phase_and_powers(
+    world: World, weights: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The phase setting and power levels with the largest sum of the metric.
+
+    With ``power.resolve=project`` the search goes over the combinations that the AP may send;
+    otherwise picks stand as they are, so it goes over all N_P^n picks of the n driving robots.
+    Under OMA levels have no effect: the phase alone is searched, and all levels are 1.
+
+    Args:
+        world: B worlds; not changed.
+        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
+
+    Returns:
+        The AP's actions, shape (B,), and levels, shape (B, K), 1 for a robot not driving.
+
+    Raises:
+        ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
+    """
+    best = best_slots(world, _weights(world, weights)[None])
+    return best.phase[0], best.level[0]
+
+
+def objective_weights(world: World, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+    """1 / (T_k E_k), what a robot's rate counts for in (5a), of slots driven; same shape."""
+    slots = np.maximum(slots, 1)
+    return np.asarray(1.0 / (slots * motion_energy_j(slots * world.slot_s, world.config.motion)))
+
+
+class BestSlots(NamedTuple):
+    """What is best in a slot under W sets of weights.
+
+    Attributes:
+        value: the weighted sum of the metric, shape (W, B); 0 where nobody drives.
+        phase: the AP's actions, shape (W, B).
+        level: power levels, shape (W, B, K), 1 for a robot that is not driving.
+    """
+
+    value: NDArray[np.float64]
+    phase: NDArray[np.int64]
+    level: NDArray[np.int64]
+
+
+def best_slots(world: World, weights: NDArray[np.float64]) -> BestSlots:
+    """As ``best_phase_and_powers``, for several sets of weights in one search.
+
+    Args:
+        world: B worlds; not changed.
+        weights: of each robot in each sum, shape (W, B, K).
+
+    Returns:
+        The best slots under each set.
+
+    Raises:
+        ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
+    """
+    shape = weights.shape[:2]
+    best = BestSlots(
+        np.zeros(shape), np.zeros(shape, dtype=np.int64), np.ones(weights.shape, dtype=np.int64)
+    )
+    count = world.driving.sum(axis=-1)
+    for driving in np.unique(count[count > 0]):
+        ranked = _ranked_levels(world, int(driving))
+        phases = min(world.phase_actions, max(1, MAX_COMBINATIONS // len(ranked)))
+        at_once = max(1, MAX_COMBINATIONS // (phases * len(ranked)))
+        for at in _parts(np.flatnonzero(count == driving), at_once):
+            best.value[:, at] = -np.inf
+            for tried in _parts(np.arange(world.phase_actions), phases):
+                _search(world, at, tried, ranked, weights[:, at], best)
+    return best
+
+
+def _parts(items: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+    return np.split(items, range(size, len(items), size))
+
+
+def _weights(world: World, weights: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Weights of shape (B, K)."""
+    return np.broadcast_to(np.asarray(1.0 if weights is None else weights), world.cell.shape)
+
+
+def _search(
+    world: World,
+    rows: NDArray[np.int64],
+    phases: NDArray[np.int64],
+    ranked: NDArray[np.int64],
+    weights: NDArray[np.float64],
+    best: BestSlots,
+) -> None:
+    """Puts into ``best`` what a of the phases with C levels by rank, shape (C, K), improve.
+
+    Each rank's level is dealt to the robot that holds the rank under the phase.
+    """
+    gain, driving = _gains(world, rows, phases), world.driving[rows]
+    served = np.broadcast_to(driving[:, None], gain.shape)
+    picks = np.moveaxis(ranked[:, _ranks(gain, served)], 0, 2)  # (b, a, C, K)
+    metric = _metric(world, gain[:, :, None], picks, served[:, :, None])
+    metric, at = metric.reshape(len(rows), -1, world.robots), np.arange(len(rows))
+    for index, weight in enumerate(weights):
+        sums = (metric @ weight[:, :, None])[..., 0]
+        choice = sums.argmax(axis=-1)
+        better = sums[at, choice] > best.value[index, rows]
+        place = choice[better]
+        best.value[index, rows[better]] = sums[at[better], place]
+        best.phase[index, rows[better]] = phases[place // len(ranked)]
+        found = picks.reshape(metric.shape)[at[better], place]
+        best.level[index, rows[better]] = np.where(driving[better], found, 1)
+
+
+def _ranked_levels(world: World, driving: int) -> NDArray[np.int64]:
+    """Levels to try by rank, strongest first, shape (C, K); 1 at ranks past ``driving``."""
+    if world.config.access == "oma":
+        return np.ones((1, world.robots), dtype=np.int64)
+    levels = world.config.power.levels
+    projects = world.config.power.resolve == "project"
+    number = comb(levels, driving) if projects else levels**driving
+    if number > MAX_COMBINATIONS:
+        raise ValueError(
+            f"env.power.levels={levels}: with {driving} robots that is {number} combinations of"
+            f" powers to search; allowed are {MAX_COMBINATIONS}"
+        )
+    falling = range(levels, 0, -1)
+    chosen = combinations(falling, driving) if projects else product(falling, repeat=driving)
+    ranked = np.ones((number, world.robots), dtype=np.int64)
+    ranked[:, :driving] = list(chosen)
+    return ranked
+
+
+def _ranks(gain: NDArray[np.float64], driving: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Each robot's rank, 0 the strongest, shape (..., K)."""
+    return np.argsort(access.decoding_order(gain, driving), axis=-1)
+
+
+def _metric(
+    world: World, gain: NDArray[np.float64], picks: NDArray[np.int64], served: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """R_k or eta_k of arrays that broadcast to (..., K), as the AP would allocate them; or 0."""
+    arrays = np.broadcast_arrays(gain, picks, served)
+    flat = (array.reshape(-1, array.shape[-1]) for array in arrays)
+    found = reward.metric(world.downlink.allocate(*flat).rate, world.config)
+    return np.where(arrays[2], found.reshape(arrays[0].shape), 0.0)

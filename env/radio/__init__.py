@@ -1,0 +1,1 @@
+"""Path loss, fading, the RIS response, codebooks and the radio map."""

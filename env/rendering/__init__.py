@@ -1,0 +1,1 @@
+"""Pictures of the floor, the radio map and robots' ways."""

@@ -1,0 +1,1 @@
+"""The commands of ``risfleet``, a module each."""

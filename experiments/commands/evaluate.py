@@ -1,0 +1,126 @@
+"""``risfleet evaluate``: plays frozen weights, or what learns nothing, on held-out starts."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from agent import single_threaded
+from conf import Config, ConfigError, learns_nothing, weight_shapes
+from conf.user_paths import user_path
+from experiments.console.arguments import check_place, not_negative, positive, run_folder, share
+from experiments.console.display import evaluation_table
+from storage.atomic import write_atomically
+from training.evaluation import Evaluator
+from training.preflight import checked
+from training.recording.files import to_json
+from training.recording.reading import read_config, read_weights
+
+EPSILONS = (0.0, 0.05)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the command; returns the exit status."""
+    given = _parser().parse_args(arguments)
+    try:
+        config, robots, ap = _read(given.what)
+        epsilons = _epsilons(config, given.epsilon)
+        check_place("--json", given.json)
+        results = evaluate(config, robots, ap, given.episodes, epsilons, given.seed)
+    except ConfigError as error:
+        print(f"risfleet: {error}", file=sys.stderr)
+        return 2
+    episodes = given.episodes or config.evaluation.episodes
+    title = f"{' '.join(given.what)}: {episodes} held-out episodes"
+    Console().print(evaluation_table(title, results))
+    if given.json:
+        write_atomically(given.json, to_json(results))
+    return 0
+
+
+def evaluate(
+    config: Config,
+    robots: NDArray[np.float32],
+    ap: NDArray[np.float32],
+    episodes: int | None,
+    epsilons: Sequence[float],
+    starts_seed: int | None = None,
+) -> dict[str, dict[str, float]]:
+    """Plays frozen weights.
+
+    Args:
+        config: the run's configuration.
+        robots: online weights of each robot, shape (K, P).
+        ap: online weights of the access point, shape (P_AP,).
+        episodes: how many; ``config.evaluation.episodes`` if None.
+        epsilons: explorations to play with.
+        starts_seed: picks the held-out starts and the exploration; the run's seed if None.
+
+    Returns:
+        From a column's name to its measures.
+
+    Raises:
+        ConfigError: an oracle cannot search this configuration.
+    """
+    single_threaded()
+    evaluator = Evaluator(config, episodes=episodes, starts_seed=starts_seed)
+    try:
+        measures = evaluator.play(robots, ap, epsilons)
+    except ValueError as error:
+        raise ConfigError(f"{error}.") from error
+    return {
+        f"eps = {epsilon:g}": found.summary()
+        for epsilon, found in zip(epsilons, measures, strict=True)
+    }
+
+
+def _read(what: Sequence[str]) -> tuple[Config, NDArray[np.float32], NDArray[np.float32]]:
+    """A run's configuration and online weights; or a configuration in which nothing learns."""
+    folder = run_folder(what)
+    if folder is not None:
+        config = read_config(folder)
+        return config, *read_weights(folder, config)
+    config = checked(what)
+    if not learns_nothing(config):
+        raise ConfigError(
+            f"{' '.join(what)}: allowed without a run's folder is what learns nothing, such as"
+            " baseline=shortest_canonical."
+        )
+    shapes = weight_shapes(config)
+    none = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    return config, none["robots"][:, 0], none["ap"][0]
+
+
+def _epsilons(config: Config, given: Sequence[float] | None) -> Sequence[float]:
+    """The explorations to play with."""
+    if not learns_nothing(config):
+        return given or EPSILONS
+    if given and any(given):
+        raise ConfigError(f"--epsilon {max(given):g}: allowed is 0 where nothing learns.")
+    return (0.0,)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("risfleet evaluate", description=__doc__)
+    parser.add_argument(
+        "what",
+        nargs="+",
+        metavar="RUN | KEY=VALUE",
+        help="a run's folder, or keys to set of what learns nothing",
+    )
+    parser.add_argument("--episodes", type=positive, help="held-out episodes to play")
+    parser.add_argument(
+        "--epsilon", type=share, action="append", help="exploration; may be given again"
+    )
+    parser.add_argument(
+        "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
+    )
+    parser.add_argument(
+        "--json", type=user_path, metavar="FILE", help="write the measures there too"
+    )
+    return parser

@@ -1,0 +1,54 @@
+"""``risfleet status RUN``: where a run is."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from conf.user_paths import user_path
+from experiments.console.display import describe, read_progress, silent_s
+
+SILENT_S = 10.0
+"""A run that writes nothing for longer may have died."""
+
+
+def _federation(status: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Checkpoint, Flower round and clients, as far as the run has them."""
+    if status.get("checkpoint") is not None:
+        yield "last checkpoint", f"window {status['checkpoint']} of {status['window']}"
+    if status.get("round"):
+        yield "round", str(status["round"])
+    for client in status.get("clients", ()):
+        there = "connected" if client["connected"] else "not connected"
+        robots = ", ".join(map(str, client["robots"]))
+        sent = client["bytes_sent"] + client["bytes_received"]
+        yield f"robot {robots}", f"{there}, {sent / 1e6:.1f} MB on the link"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the command; returns the exit status."""
+    if len(arguments) != 1:
+        print("risfleet: status needs one run folder: risfleet status RUN", file=sys.stderr)
+        return 2
+    folder = user_path(arguments[0])
+    status = read_progress(folder)
+    if status is None:
+        print(f"risfleet: {folder} holds no run that has begun", file=sys.stderr)
+        return 2
+    table = Table.grid(padding=(0, 2))
+    for name, text in describe(status):
+        table.add_row(name or "state", text)
+    for name, text in _federation(status):
+        table.add_row(name, text)
+    if status["message"]:
+        table.add_row("message", Text(str(status["message"])))
+    silence = silent_s(status)
+    if silence is not None and silence > SILENT_S:
+        table.add_row("last heard", f"{silence:.0f} s ago")
+    Console().print(table)
+    return 0

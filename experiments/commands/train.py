@@ -1,0 +1,59 @@
+"""``risfleet train``: one run, or with ``-m`` one for each combination of values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from conf import Config, ConfigError
+from conf.commented import commented_yaml
+from experiments.commands.sweep import train_all
+from experiments.runtimes.folders import new_folder
+from experiments.runtimes.runner import ERRORS, say, train
+from training import resume
+from training.preflight import check_address, checked, checked_training
+
+FLAGS = ("-m", "--multirun", "--cfg")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the command; returns the exit status."""
+    flags = [item for item in arguments if item.startswith("-")]
+    overrides = [item for item in arguments if not item.startswith("-")]
+    try:
+        _check_flags(flags, resumes=resume.asked(overrides))
+        if "--cfg" in flags:
+            print(commented_yaml(checked(overrides)), end="")
+            return 0
+        if flags:
+            return train_all(overrides)
+        if resume.asked(overrides):
+            config, checkpoint = resume.read(overrides)
+            _check_address(config)
+            return train(config, Path(str(config.run.dir)), checkpoint)
+        config = checked_training(overrides)
+        _check_address(config)
+        return train(config, new_folder(config))
+    except ERRORS as error:
+        return say(error)
+
+
+def _check_flags(flags: Sequence[str], *, resumes: bool) -> None:
+    """Checks that options are known and go together.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    unknown = [flag for flag in flags if flag not in FLAGS]
+    if unknown:
+        raise ConfigError(f"{unknown[0]} is no option: there are -m and --cfg.")
+    if "--cfg" in flags and (len(flags) > 1 or resumes):
+        raise ConfigError("--cfg prints one configuration: allowed without -m and resume=RUN.")
+    if flags and resumes:
+        raise ConfigError("resume=RUN goes on with one run: allowed without -m.")
+
+
+def _check_address(config: Config) -> None:
+    """Checks the link's address, unless it is another machine's."""
+    if config.runtime.connection is None:
+        check_address(config)

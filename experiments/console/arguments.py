@@ -1,0 +1,66 @@
+"""What commands are given: numbers, files and run folders."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from conf import ConfigError
+from conf.user_paths import user_path
+
+
+def run_folder(what: Sequence[str]) -> Path | None:
+    """The run's folder that arguments name; None where they set keys.
+
+    Raises:
+        ConfigError: there are keys beside it.
+    """
+    folders = [user_path(item) for item in what if "=" not in item or user_path(item).is_dir()]
+    if folders and len(what) > 1:
+        raise ConfigError(f"{' '.join(what)}: allowed is one run folder, or KEY=VALUE ... alone.")
+    return folders[0] if folders else None
+
+
+def check_place(option: str, file: Path | None) -> None:
+    """Finds a place where no file can be written before anything is worked out.
+
+    Raises:
+        ConfigError: the option's file is a folder, or in none that can be written to.
+    """
+    if file is None:
+        return
+    if file.is_dir() or not file.absolute().parent.is_dir():
+        raise ConfigError(f"{option} {file}: allowed is a file in a folder that exists.")
+    if not os.access(file.absolute().parent, os.W_OK):
+        raise ConfigError(f"{option} {file}: allowed is a file in a folder that can be written to.")
+
+
+def positive(text: str) -> int:
+    """An option's whole number of at least 1."""
+    return int(_number(text, int, 1, math.inf, "a whole number of at least 1"))
+
+
+def not_negative(text: str) -> int:
+    """An option's whole number of at least 0."""
+    return int(_number(text, int, 0, math.inf, "a whole number of at least 0"))
+
+
+def share(text: str) -> float:
+    """An option's number from 0 to 1."""
+    return _number(text, float, 0, 1, "a number from 0 to 1")
+
+
+def _number(
+    text: str, kind: Callable[[str], float], low: float, high: float, allowed: str
+) -> float:
+    """Reads a number for argparse, which would name the function that fails with ValueError."""
+    try:
+        value = kind(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text}: allowed is {allowed}")
+    return value

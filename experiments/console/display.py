@@ -1,0 +1,261 @@
+"""What the user sees of a run: live progress, and the table at its end."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from experiments.console.mishaps import in_words
+from training.recording.history import MEASURES
+
+POLL_S = 0.5
+LINE_PERIOD_S = 10.0
+RUNNING = ("starting", "training", "waiting", "finishing")
+LABELS = {
+    "success": "success",
+    "path_ratio": "path ratio",
+    "ee": "EE (bit/s/Hz/J)",
+    "ee_bits_per_joule": "EE (bit/J)",
+    "sum_rate": "sum rate (bit/s/Hz)",
+    "min_rate": "min rate (bit/s/Hz)",
+    "sic_violations": "SIC violations",
+    "projections": "projections",
+}
+assert set(LABELS) == set(MEASURES)
+
+
+_NOTHING_YET: dict[str, Any] = {
+    "state": "unknown",
+    "message": "",
+    "written_at": None,
+    "tick": 0,
+    "window": 0,
+    "episode": 0,
+    "episodes": 1,
+    "max_ticks": None,
+    "steps_per_s": 0.0,
+    "slots": None,
+    "reward": None,
+    "ee": None,
+    "success": None,
+    "evaluated": None,
+}
+"""What a run that failed before its first tick could not say, and a damaged file does not."""
+
+
+def read_progress(folder: Path) -> dict[str, Any] | None:
+    """What a run last wrote to ``progress.json``; None if it has not yet."""
+    try:
+        written: dict[str, Any] = json.loads(
+            (folder / "progress.json").read_text(encoding="utf-8-sig")
+        )
+    except (OSError, ValueError):
+        return None
+    return _NOTHING_YET | written if isinstance(written, dict) else None
+
+
+def silent_s(status: dict[str, Any]) -> float | None:
+    """Seconds since a run last wrote; None if it has ended, or wrote no time."""
+    if status["state"] not in RUNNING or not isinstance(status["written_at"], int | float):
+        return None
+    return max(time.time() - status["written_at"], 0.0)
+
+
+def share_done(status: dict[str, Any]) -> float:
+    """How much of a run is done, 0 to 1, by episodes or ticks, whichever ends it first."""
+    done = float(status["episode"] / status["episodes"])
+    if status["max_ticks"]:
+        done = max(done, status["tick"] / status["max_ticks"])
+    return min(done, 1.0)
+
+
+def seconds_left(status: dict[str, Any]) -> float | None:
+    """An estimate of the time left: the ticks to come at the rate so far."""
+    rate, slots = status["steps_per_s"], status["slots"]
+    if not rate or not slots or status["state"] != "training":
+        return None
+    ticks = (status["episodes"] - status["episode"]) * slots
+    if status["max_ticks"]:
+        ticks = min(ticks, status["max_ticks"] - status["tick"])
+    return float(max(ticks, 0) / rate)
+
+
+def describe(status: dict[str, Any]) -> list[tuple[str, str]]:
+    """The labelled figures of a run's progress."""
+    left = seconds_left(status)
+    frozen = status["evaluated"]
+    return [
+        ("", str(status["state"])),
+        ("episode", f"{status['episode']}/{status['episodes']}"),
+        ("tick", str(status["tick"])),
+        ("success", _number(status["success"], ".2f")),
+        ("frozen", _number(frozen, ".2f")),
+        ("reward", _number(status["reward"], ".0f")),
+        ("EE", _number(status["ee"], ".4f")),
+        ("steps/s", _number(status["steps_per_s"] or None, ".0f")),
+        ("left", "-" if left is None else _duration(left)),
+    ]
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+class Showing(ABC):
+    """Shows something from a thread of its own, until the block that it is entered for ends.
+
+    What goes wrong with it is said in a line, and the block goes on without.
+
+    Args:
+        name: the thread's.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._show, name=name, daemon=True)
+
+    def __enter__(self) -> Self:
+        """Begins to show."""
+        try:
+            self._thread.start()
+        except RuntimeError as error:  # this machine has no thread left
+            self._give_up(error)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Shows the last state and ends."""
+        self._ended.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _show(self) -> None:
+        try:
+            self._run()
+        except Exception as error:
+            self._give_up(error)
+
+    def _give_up(self, error: Exception) -> None:
+        why = f"{type(error).__name__}: {in_words(error)}"
+        print(f"risfleet: no progress is shown from here on ({why})", file=sys.stderr)
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Shows, until ``_ended`` is set."""
+
+
+class Display(Showing):
+    """Shows the progress of a run while it lasts, from what it writes to its folder.
+
+    Live on a terminal; elsewhere a plain line every ten seconds. It reads files only, so it shows
+    every runtime alike.
+
+    Args:
+        folder: the run's.
+        console: where to show.
+    """
+
+    def __init__(self, folder: Path, console: Console) -> None:
+        super().__init__("display")
+        self._folder, self._console = folder, console
+
+    def _run(self) -> None:
+        if not self._console.is_terminal:
+            self._print_lines()
+            return
+        with Live(console=self._console, refresh_per_second=4, transient=True) as live:
+            while not self._ended.wait(POLL_S):
+                if (status := read_progress(self._folder)) is not None:
+                    live.update(_panel(status))
+
+    def _print_lines(self) -> None:
+        shown, printed = "", 0.0
+        while True:
+            ended = self._ended.wait(POLL_S)
+            status = read_progress(self._folder)
+            due = not ended and time.monotonic() - printed >= LINE_PERIOD_S
+            if status is not None and (due or status["state"] != shown):
+                shown, printed = status["state"], time.monotonic()
+                self._print_line(status)
+            if ended:
+                return
+
+    def _print_line(self, status: dict[str, Any]) -> None:
+        line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
+        if status["state"] == "waiting":
+            line = f"waiting: {status['message']}"
+        self._console.print(line, highlight=False, soft_wrap=True)
+
+
+def _panel(status: dict[str, Any]) -> Table:
+    outer = Table.grid(padding=(0, 0))
+    outer.add_row(ProgressBar(total=1.0, completed=share_done(status), width=60))
+    figures = Table.grid(padding=(0, 2))
+    columns = describe(status)
+    figures.add_row(*(f"[dim]{label or 'state'}[/dim]" for label, _ in columns))
+    figures.add_row(*(text for _, text in columns))
+    outer.add_row(figures)
+    if status["state"] == "waiting":
+        outer.add_row(Text(str(status["message"])))
+    return outer
+
+
+def evaluation_table(title: str, columns: dict[str, dict[str, float]]) -> Table:
+    """A table of evaluations, a column each.
+
+    Args:
+        title: above the table.
+        columns: from a column's name to its measures.
+    """
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for name in columns:
+        table.add_column(name, justify="right")
+    for key, label in LABELS.items():
+        table.add_row(label, *(_measure(key, values.get(key)) for values in columns.values()))
+    return table
+
+
+def _measure(key: str, value: float | None) -> str:
+    if value is None or value != value:
+        return "-"
+    return format(value, ".4f" if key == "ee" else ".3f")
+
+
+def show_summary(console: Console, summary: dict[str, Any], folder: Path) -> None:
+    """The end of a run: what the policy is worth and where everything is."""
+    evaluation = summary["evaluation"]
+    title = (
+        f"{summary['robots']} robots, seed {summary['seed']}, {summary['episodes']} episodes,"
+        f" {summary['ticks']} ticks at {summary['steps_per_s']:.0f} steps/s"
+    )
+    columns = {
+        "frozen, eps = .05": evaluation["eps05"],
+        "greedy": evaluation["greedy"],
+        "last 5 in training": evaluation["last5"],
+    }
+    console.print(evaluation_table(title, columns))
+    for name in sorted(_written(folder)):
+        console.print(f"  {name}", highlight=False, soft_wrap=True)
+
+
+def _written(folder: Path) -> list[str]:
+    names = ["summary.json", "metrics.csv", "evaluations.csv", "weights.safetensors"]
+    names += ["config.yaml", "tensorboard"]
+    found = [folder / name for name in names] + sorted((folder / "figures").glob("*.png"))
+    return [str(path) for path in found if path.exists()]

@@ -1,0 +1,1 @@
+"""What of a reproduction is kept in ``results/``."""

@@ -1,0 +1,138 @@
+"""The model card of the weights in ``results/weights``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from conf import ap_network, robot_network
+from experiments.reproduce.results.runs import Run
+
+TEXT = """# Weights
+
+Policies that are ready to be played: of robots, which pick their moves and powers, and of the
+access point, which sets the phase of the reconfigurable intelligent surface.
+
+```sh
+.venv/bin/risfleet evaluate results/weights/{first}
+.venv/bin/risfleet oracle results/weights/{first}      # beside the best that is known
+```
+
+## What there is
+
+| folder | robots | seed | episodes | trained by |
+|---|---|---|---|---|
+{what}
+
+Where several seeds of a configuration were run, the weights are those of the first, not of the
+best. They are those after the run's last aggregation: no checkpoint was selected.
+
+## How well they play
+
+Success is the share of robots that arrive, with 5 % random moves and without; the path ratio is
+slots driven over the shortest length; EE is in bit/s/Hz/J. Means over the last five evaluations in
+training, from held-out starts; in brackets the least and the largest of all seeds of the same
+configuration.
+
+| folder | seeds | success, eps = .05 | success, greedy | path ratio | EE |
+|---|---|---|---|---|---|
+{how_well}
+
+## Limits
+
+- They were trained for one floor plan, one radio map and the destinations of their seed, which
+  `config.yaml` names. Held-out means other starts, nothing more. For anything else, train anew:
+  that takes seconds to minutes.
+- A greedy policy may step back and forth between two cells for ever; a few random moves free it.
+- The world is a model ([assumptions](../../docs/assumptions.md)): channels are simulated, and no
+  real robot was driven with these weights, nor is one meant to be.
+
+## Files
+
+| file | holds |
+|---|---|
+| `weights.safetensors` | float32: `robots`, shape (K, 2, P), and `ap`, shape (2, P_AP) |
+| `config.yaml` | the whole configuration of the run |
+| `summary.json` | versions, digests of the weights, what the run came to |
+
+Of two networks the first is the online one, which plays, and the second the target. A network is a
+flat row: of each layer the weights, inputs by outputs, row by row, and the bias as one more row;
+ReLU between layers.
+
+| folder | robots' network | P | access point's network | P_AP |
+|---|---|---|---|---|
+{sizes}
+
+How they were trained and measured: [reproduction](../../docs/reproduction.md). Licence: that of the
+repository, Apache-2.0.
+"""
+
+
+@dataclass(frozen=True)
+class Player:
+    """A run whose weights are kept.
+
+    Attributes:
+        name: of its folder.
+        overrides: of its cell; none if it is not a target's.
+        run: the run.
+        seeds: all runs of its configuration, itself among them.
+    """
+
+    name: str
+    overrides: Sequence[str]
+    run: Run
+    seeds: Sequence[Run]
+
+
+def card(players: Sequence[Player]) -> str:
+    """The card of some weights, numbers included.
+
+    Args:
+        players: at least one.
+    """
+    return TEXT.format(
+        first=players[0].name,
+        what="\n".join(map(_what, players)),
+        how_well="\n".join(map(_how_well, players)),
+        sizes="\n".join(map(_sizes, players)),
+    )
+
+
+def _what(player: Player) -> str:
+    config = player.run.config
+    how = f"`{' '.join(player.overrides)}`" if player.overrides else "its `config.yaml`"
+    cells = player.name, config.env.robots, config.seed, player.run.summary["episodes"], how
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def _how_well(player: Player) -> str:
+    cells = [player.name, str(len(player.seeds))]
+    for evaluation, measure, form in (
+        ("last5", "success", ".2f"),
+        ("last5_greedy", "success", ".2f"),
+        ("last5", "path_ratio", ".3f"),
+        ("last5", "ee", ".4f"),
+    ):
+        own, *all_ = (
+            run.summary["evaluation"][evaluation][measure] for run in (player.run, *player.seeds)
+        )
+        cells.append(_spread(own, [value for value in all_ if value is not None], form))
+    return f"| {' | '.join(cells)} |"
+
+
+def _spread(own: float | None, all_: Sequence[float], form: str) -> str:
+    """A run's value, and the least and largest of all; a path ratio is None if nobody arrives."""
+    if own is None:
+        return "-"
+    return f"{own:{form}} ({np.min(all_):{form}} to {np.max(all_):{form}})"
+
+
+def _sizes(player: Player) -> str:
+    cells = [player.name]
+    for network in (robot_network(player.run.config), ap_network(player.run.config)):
+        widths = network.inputs, *(width for _, width in network.layers)
+        cells += [" - ".join(map(str, widths)), f"{network.parameters:,}"]
+    return f"| {' | '.join(cells)} |"

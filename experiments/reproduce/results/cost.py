@@ -1,0 +1,104 @@
+"""What the gradient steps of a tick cost: one DQN over all joint actions, against F-DRL's agents.
+
+Measured on the spot, with agents that learn from random transitions: a network with 55,296 outputs
+(K = 3) takes tens of ms a step, so no training is needed to say what it costs. Above that none is
+made, and its cost follows from the number of joint actions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent import DQN, single_threaded
+from conf import Config, ap_network, joint_actions, robot_network
+from experiments.reproduce.results.statistics import Floats
+
+MEASURED = (2, 3)
+EXTRAPOLATED = (4, 5, 6)
+BLOCKS = 5
+CENTRAL_STEPS, FEDERATED_STEPS = 4, 40
+"""Gradient steps in a block."""
+
+
+def actions(config: Config, robots: int) -> int:
+    """Joint actions of a task with another number of robots, N_R^N (4 N_P)^K."""
+    return joint_actions(_with(config, robots))
+
+
+def ratios(ours: Config, theirs: Config) -> dict[int, Floats]:
+    """Processor time of centralized DQN's gradient step over that of all of F-DRL's agents.
+
+    Args:
+        ours: F-DRL's configuration, with any K.
+        theirs: centralized DQN's.
+
+    Returns:
+        From K to a ratio for each block of steps, shape (BLOCKS,). Above the largest K of
+        ``MEASURED`` the centralized step is that K's, times the ratio of the joint actions.
+    """
+    single_threaded()
+    every, last = (*MEASURED, *EXTRAPOLATED), MEASURED[-1]
+    federated = {k: _federated(_with(ours, k)) for k in every}
+    central = {k: _centralized(_with(theirs, k)) for k in MEASURED}
+    ours_s: dict[int, list[float]] = {k: [] for k in federated}
+    theirs_s: dict[int, list[float]] = {k: [] for k in central}
+    for _ in range(BLOCKS):  # in turns, so that what else the machine does meets all alike
+        for k, learners in federated.items():
+            ours_s[k].append(_step_s(learners, FEDERATED_STEPS))
+        for k, learners in central.items():
+            theirs_s[k].append(_step_s(learners, CENTRAL_STEPS))
+    growth = {k: actions(ours, k) / actions(ours, min(k, last)) for k in every}
+    return {k: np.array(theirs_s[min(k, last)]) * growth[k] / np.array(ours_s[k]) for k in every}
+
+
+def _with(config: Config, robots: int) -> Config:
+    """A configuration with another number of robots."""
+    return dataclasses.replace(config, env=dataclasses.replace(config.env, robots=robots))
+
+
+def _federated(config: Config) -> list[DQN]:
+    """Robots in one stack, and the access point."""
+    agent = config.agent
+    robots = [np.random.default_rng(robot) for robot in range(config.env.robots)]
+    return [
+        _filled(DQN(robot_network(config), agent, agent.discount.robot, robots), config),
+        _filled(DQN(ap_network(config), agent, agent.discount.ap, robots[:1]), config),
+    ]
+
+
+def _centralized(config: Config) -> list[DQN]:
+    """Baseline 1's only agent."""
+    discount = config.agent.discount.robot
+    generator = np.random.default_rng(0)
+    return [_filled(DQN(ap_network(config), config.agent, discount, [generator]), config)]
+
+
+def _filled(agents: DQN, config: Config) -> DQN:
+    """Agents with drawn weights that learn from every further transition."""
+    first = agents.shape.initial_weights(np.random.default_rng(1))
+    agents.load(np.stack([first, first]))
+    for _ in range(config.agent.learn_from):
+        _learn(agents)
+    return agents
+
+
+def _learn(agents: DQN) -> None:
+    """Stores a transition of each agent, and takes a gradient step once they hold enough."""
+    count, generator = len(agents), np.random.default_rng(2)
+    states = generator.standard_normal((2, count, agents.shape.inputs), np.float32)
+    actions = generator.integers(agents.shape.actions, size=count)
+    no, yes = np.zeros(count, bool), np.ones(count, bool)
+    agents.learn(states[0], actions, np.zeros(count), states[1], no, yes)
+
+
+def _step_s(learners: Sequence[DQN], steps: int) -> float:
+    """Processor time of a gradient step of all agents, in s."""
+    began = time.process_time()
+    for _ in range(steps):
+        for agents in learners:
+            _learn(agents)
+    return (time.process_time() - began) / steps

@@ -1,0 +1,104 @@
+"""From what each run of Fig. 4 came to, to the points that are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.reproduce.results.statistics import Floats, estimate
+
+LEARNED = "learned"
+PLANNED = "planned"
+PLANNED_AGAIN = "planned, reallocate"
+"""Under OMA, with the parts of robots that have arrived dealt out again."""
+
+
+class Outcome(NamedTuple):
+    """What one run came to, or what was planned for its starts.
+
+    Attributes:
+        robots: K.
+        side: M_R.
+        max_dbm: P_max in dBm.
+        access: noma or oma.
+        curve: learned, planned, or planned with the other share of OMA.
+        seed: the run's.
+        ee: energy efficiency in bit/s/Hz/J, the objective (5a); a robot that does not arrive counts
+            with T_max.
+        success: share of the robots that arrive.
+        sum_rate: in bit/s/Hz.
+        min_rate: the least over robots of a robot's mean rate, in bit/s/Hz.
+        greedy_ee: without exploration; None where nothing was learned.
+        greedy_success: likewise.
+    """
+
+    robots: int
+    side: int
+    max_dbm: int
+    access: str
+    curve: str
+    seed: int
+    ee: float
+    success: float
+    sum_rate: float
+    min_rate: float
+    greedy_ee: float | None = None
+    greedy_success: float | None = None
+
+
+class Of(NamedTuple):
+    """What an outcome is of, as the first five of ``Outcome``."""
+
+    robots: int
+    side: int
+    max_dbm: int
+    access: str
+    curve: str
+
+
+class Point(NamedTuple):
+    """A point of the figure.
+
+    Attributes:
+        robots: K.
+        side: M_R.
+        max_dbm: P_max in dBm.
+        access: noma or oma.
+        curve: as in ``Outcome``.
+        seeds: how many.
+        ee: mean over seeds in bit/s/Hz/J.
+        low: of its 95 % bootstrap interval, nan with one seed.
+        high: likewise.
+        success: mean over seeds.
+    """
+
+    robots: int
+    side: int
+    max_dbm: int
+    access: str
+    curve: str
+    seeds: int
+    ee: float
+    low: float
+    high: float
+    success: float
+
+
+def points(found: Sequence[Outcome]) -> list[Point]:
+    """Means and intervals over seeds, in the order of their first outcome."""
+    groups: dict[Of, list[Outcome]] = {}
+    for each in found:
+        groups.setdefault(Of(*each[:5]), []).append(each)
+    drawn = []
+    for of, those in groups.items():
+        ee = estimate([each.ee for each in those], mean)
+        success = float(np.mean([each.success for each in those]))
+        drawn.append(Point(*of, ee.count, ee.value, ee.low, ee.high, success))
+    return drawn
+
+
+def mean(values: Floats) -> Floats:
+    """The mean along the last axis."""
+    return np.asarray(values.mean(axis=-1))

@@ -1,0 +1,80 @@
+"""Runs that have ended, as figures and tables read them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conf import Config
+from training.recording.reading import read_config, read_weights
+
+Columns = dict[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that has ended.
+
+    Attributes:
+        folder: the run's.
+    """
+
+    folder: Path
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """What ``summary.json`` holds."""
+        found: dict[str, Any] = json.loads(
+            (self.folder / "summary.json").read_text(encoding="utf-8-sig")
+        )
+        return found
+
+    @cached_property
+    def config(self) -> Config:
+        """The run's configuration."""
+        return read_config(self.folder)
+
+    @property
+    def seed(self) -> int:
+        """The run's seed."""
+        return self.config.seed
+
+    def metrics(self) -> Columns:
+        """The columns of ``metrics.csv``, each of shape (episodes,)."""
+        return _columns(self.folder / "metrics.csv")
+
+    def evaluations(self) -> Columns:
+        """The columns of ``evaluations.csv`` with exploration, each of shape (evaluations,)."""
+        return _columns(self.folder / "evaluations.csv", 0, 2)
+
+    def greedy(self) -> Columns:
+        """The columns of ``evaluations.csv`` without exploration, each of shape (evaluations,)."""
+        return _columns(self.folder / "evaluations.csv", 1, 2)
+
+    def weights(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Online weights: robots (K, P), access point (P_AP,).
+
+        Raises:
+            ConfigError: they are missing or damaged.
+        """
+        return read_weights(self.folder, self.config)
+
+
+Runs = Mapping[str, Mapping[int, Run]]
+"""From a cell's name and a seed to a run."""
+
+
+def _columns(path: Path, first: int = 0, step: int = 1) -> Columns:
+    """The columns of a CSV file of numbers, of the rows ``first::step``; empty is nan."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        reader = csv.DictReader(file)
+        names, rows = reader.fieldnames or (), list(reader)[first::step]
+    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

@@ -1,0 +1,156 @@
+"""Claims on energy efficiency, Fig. 4: access, power budget, robots, RIS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from experiments.reproduce.results.points import LEARNED, PLANNED, PLANNED_AGAIN, Of, Outcome, mean
+from experiments.reproduce.results.statistics import Floats, estimate
+from experiments.reproduce.results.verdicts import Check, Claim
+
+WHERE = "Section IV on Fig. 4"
+FEW, MANY = 3, 4
+"""K of which the paper says different things."""
+
+KNEE = 20
+"""M_R from which on the paper sees smaller improvements."""
+
+AXES = {
+    "robots": ("K", "K = {}"),
+    "side": ("M_R", "M_R = {}"),
+    "max_dbm": ("P_max", "{} dBm"),
+    "access": ("access", "{}"),
+}
+"""How an axis is called, and a value of it."""
+
+By = Mapping[Of, Mapping[int, float]]
+"""EE in bit/s/Hz/J, by setting and by seed."""
+
+Pairs = Iterator[tuple[dict[str, str], Floats]]
+"""Where two settings are compared, and what their difference is, seed by seed."""
+
+
+def fig4_claims(found: Sequence[Outcome]) -> list[Claim]:
+    """What the paper says of Fig. 4, of learned policies and of planned ones.
+
+    Args:
+        found: what every run came to, and what was planned for its starts.
+
+    Returns:
+        A claim for each that some of the settings bear on.
+    """
+    by: dict[Of, dict[int, float]] = {}
+    for each in found:
+        by.setdefault(Of(*each[:5]), {})[each.seed] = each.ee
+    claims = [claim for curve in (LEARNED, PLANNED) for claim in _of_curve(by, curve)]
+    return [claim for claim in claims if claim is not None]
+
+
+def _of_curve(by: By, curve: str) -> Iterator[Claim | None]:
+    gain = f"gain in EE, %, {curve}; mean over settings"
+    abstract = f"abstract (iii), {WHERE}"
+    noma = "NOMA has a higher EE than OMA"
+    yield claim(noma, abstract, gain, _noma(by, curve, curve))
+    if curve == PLANNED:
+        again = f"{noma} whose parts of arrived robots go to the others"
+        yield claim(again, "", gain, _noma(by, curve, PLANNED_AGAIN))
+    yield claim("EE grows with P_max", WHERE, gain, _grown(by, curve, "max_dbm"))
+    yield claim("EE grows with the number of robots", WHERE, gain, _grown(by, curve, "robots"))
+    yield claim("the RIS raises EE", WHERE, gain, _with_ris(by, curve))
+    for k in (FEW, MANY):
+        of_k = {of: ees for of, ees in by.items() if of.robots == k}
+        yield claim(f"EE grows with M_R at K = {k}", WHERE, gain, _grown(of_k, curve, "side"))
+    flatter = f"at K = {FEW} EE improves less for M_R above {KNEE} than below"
+    change = f"the improvement above less that below, % of the EE below, {curve}; mean"
+    for how, a_row in (("in all", False), ("for each row of elements that is added", True)):
+        steps = _flattening(by, curve, a_row=a_row)
+        yield claim(f"{flatter}, {how}", WHERE, change, steps, above=False)
+
+
+def claim(
+    says: str, where: str, measure: str, pairs: Pairs, form: str = "+.1f", *, above: bool = True
+) -> Claim | None:
+    """A claim that differences lie above zero, or below.
+
+    Args:
+        says: its content.
+        where: it stands in the paper; empty if the paper does not make it.
+        measure: what the differences are.
+        pairs: one for each setting, all of the same seeds.
+        form: how a difference is written.
+        above: whether they ought to be positive.
+
+    Returns:
+        None where nothing was compared.
+    """
+    each = list(pairs)
+    if not each:
+        return None
+    checks = [Check(setting, estimate(values, mean), above=above) for setting, values in each]
+    pooled = estimate(np.mean([values for _, values in each], axis=0), mean)
+    return Claim(says, where, "", measure, checks, pooled, form)
+
+
+def _noma(by: By, curve: str, rival: str) -> Pairs:
+    for of in by:
+        oma = of._replace(access="oma", curve=rival)
+        if of.access == "noma" and of.curve == curve and oma in by:
+            yield _setting(of, "robots", "side", "max_dbm"), _percent(by[of], by[oma])
+
+
+def _grown(by: By, curve: str, axis: str) -> Pairs:
+    """Each value of an axis over the next smaller one."""
+    values = sorted({getattr(of, axis) for of in by})
+    before = dict(zip(values[1:], values, strict=False))
+    others = [name for name in AXES if name != axis]
+    for of in by:
+        here = getattr(of, axis)
+        if of.curve == curve and here in before:
+            below = by[of._replace(**{axis: before[here]})]
+            name, text = AXES[axis]
+            step = f"{text.format(here)} over {before[here]}"
+            yield {name: step, **_setting(of, *others)}, _percent(by[of], below)
+
+
+def _with_ris(by: By, curve: str) -> Pairs:
+    for of in by:
+        if of.curve == curve and of.side:
+            yield _setting(of, *AXES), _percent(by[of], by[of._replace(side=0)])
+
+
+def _flattening(by: By, curve: str, *, a_row: bool) -> Pairs:
+    """With few robots, the step in M_R above the knee less the one below, in % of the EE below.
+
+    Args:
+        by: EE.
+        curve: learned or planned.
+        a_row: whether a step is divided by the rows of elements that it adds.
+    """
+    sides = sorted({of.side for of in by})
+    if KNEE not in sides[1:-1]:
+        return
+    at = sides.index(KNEE)
+    below, above = sides[at - 1], sides[at + 1]
+    widths = (above - KNEE, KNEE - below) if a_row else (1, 1)
+    for of in by:
+        if (of.robots, of.side, of.curve) == (FEW, KNEE, curve):
+            low, knee, high = (_values(by[of._replace(side=side)]) for side in (below, KNEE, above))
+            less = (high - knee) / widths[0] - (knee - low) / widths[1]
+            yield _setting(of, "max_dbm", "access"), 100.0 * less / low
+
+
+def _setting(of: Of, *axes: str) -> dict[str, str]:
+    """A setting as a check has it."""
+    return {AXES[axis][0]: AXES[axis][1].format(getattr(of, axis)) for axis in axes}
+
+
+def _percent(ours: Mapping[int, float], theirs: Mapping[int, float]) -> Floats:
+    """By how much more, seed by seed."""
+    return 100.0 * (_values(ours) / _values(theirs) - 1.0)
+
+
+def _values(ees: Mapping[int, float]) -> Floats:
+    """Shape (seeds,), the least seed first."""
+    return np.array([ees[seed] for seed in sorted(ees)])

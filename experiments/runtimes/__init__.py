@@ -1,0 +1,1 @@
+"""Starting and stopping runs, in this process and on Flower."""

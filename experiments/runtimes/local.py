@@ -1,0 +1,58 @@
+"""``runtime=local``: all agents in this process, the robots stacked in one learner."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from client_app.state import Keeper
+from conf import Config
+from lockstep import LocalFleet, Want
+from storage.checkpoint_layout import STATE
+from training.checkpoint import Checkpoint
+from training.controllers.central import CentralAgent
+from training.recording.files import report_failure
+from training.session import Session
+
+
+class InProcessFleet(LocalFleet):
+    """A local fleet without rounds: no Flower reply carries the last weights, so it takes them."""
+
+    _farewell = False
+
+    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
+        """See ``Fleet.tell``."""
+        super().tell(tick, window, want, updates)
+        self._farewell = want is Want.FAREWELL
+
+    def upload(self, window: int) -> NDArray[np.float32]:
+        """See ``Fleet.upload``."""
+        return self._uploaded() if self._farewell else super().upload(window)
+
+
+def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> dict[str, Any]:
+    """Trains in this process.
+
+    Args:
+        config: the run's configuration.
+        folder: the run's folder.
+        resumed: where the run goes on, if it does not begin.
+
+    Returns:
+        What ``summary.json`` holds.
+    """
+    try:
+        session = Session(config, folder, resumed)
+        if isinstance(session.ap, CentralAgent):
+            return session.train(session.ap.fleet)
+        robots = tuple(range(config.env.robots))
+        state = None if config.state.every is None else folder / STATE
+        with closing(Keeper(config, robots, state)) as keeper:
+            return session.train(InProcessFleet([(robots, keeper)]))
+    except BaseException as error:
+        report_failure(folder, error)
+        raise

@@ -1,0 +1,197 @@
+"""``runtime=simulation`` and ``runtime=deployment``: the app on Flower."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+from conf import Config, flower_clients, to_yaml
+from experiments.console.display import read_progress
+from experiments.flower import (
+    Connection,
+    Federation,
+    FlowerError,
+    ProcessLostError,
+    RunState,
+    SimulationSuperLink,
+    Status,
+    UnansweredError,
+)
+from lockstep import LinkTimeout, RobotLost
+from storage.atomic import write_atomically
+from storage.checkpoint_files import CheckpointError
+from storage.checkpoint_layout import STATE
+from training.checkpoint import Checkpoint, latest
+from training.recording.files import report_failure, report_state, to_json
+
+POLL_S = 1.0
+LOG_NAME = "flower.log"
+MOST_IN_VAIN = 3
+"""Starts in a row without a new checkpoint before a run is given up."""
+
+LOSSES = tuple(f"{kind.__name__}: " for kind in (RobotLost, LinkTimeout))
+"""How the message of a run begins that has lost a robot."""
+
+
+class Runner(Protocol):
+    """Where runs of the app are handed in."""
+
+    def __enter__(self) -> Self:
+        """Begin."""
+        ...
+
+    def __exit__(self, *error: object) -> None:
+        """End all that this has started."""
+        ...
+
+    def submit(self, overrides: str) -> int:
+        """Hand in a run; returns its number."""
+        ...
+
+    def status(self, run_id: int) -> Status:
+        """State of a run."""
+        ...
+
+    def log_tail(self, run_id: int) -> str:
+        """The end of its log."""
+        ...
+
+
+def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> dict[str, Any]:
+    """Trains on Flower: on processes of this run's own, which end with it, or on a federation.
+
+    Args:
+        config: the run's configuration, with an absolute ``run.dir`` and a ``run.id``.
+        folder: the run's folder.
+        resumed: where the run goes on, if it does not begin.
+
+    Returns:
+        What ``summary.json`` holds; where the ServerApp's machine is another, that it is there.
+
+    Raises:
+        FlowerError: Flower or the run failed; the message holds the end of the log.
+    """
+    federation = dataclasses.replace(config.federation, clients=flower_clients(config))
+    config = dataclasses.replace(config, federation=federation)
+    write_atomically(folder / "config.yaml", to_yaml(config))
+    try:
+        restarts = _persevere(config, folder, resumed)
+    except BaseException as error:
+        report_failure(folder, error)
+        raise
+    path = folder / "summary.json"
+    if not path.exists():
+        return {}
+    summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8-sig"))
+    summary |= {"restarts": restarts}
+    with suppress(OSError):  # the ServerApp has written all else
+        write_atomically(path, to_json(summary))
+    return summary
+
+
+def _persevere(config: Config, folder: Path, resumed: Checkpoint | None) -> list[str]:
+    """Runs to the end; where processes died that this has started, starts them again.
+
+    Returns:
+        Why, for each time that they were started again.
+
+    Raises:
+        FlowerError: the run failed, or they die again and again.
+    """
+    reached, in_vain = -1 if resumed is None else resumed.window, 0
+    revives = config.federation.on_loss == "wait" and config.runtime.connection is None
+    restarts: list[str] = []
+    while True:
+        try:
+            _run(config, folder, resumed is not None)
+            return restarts
+        except ProcessLostError as error:
+            if (folder / "summary.json").exists():
+                return restarts  # it was done: what died had nothing left to do
+            if not revives:
+                raise
+            resumed = _last(config, folder)
+            window = 0 if resumed is None else resumed.window
+            reached, in_vain = max(reached, window), 0 if window > reached else in_vain + 1
+            if in_vain > MOST_IN_VAIN:
+                raise
+            sentence = str(error).splitlines()[0].removesuffix(".")
+            restarts.append(f"{sentence}. Starting again from window {window}.")
+            with suppress(OSError):
+                (folder / "progress.json").unlink(missing_ok=True)
+            with suppress(OSError):
+                report_state(folder, "waiting", restarts[-1])
+
+
+def _last(config: Config, folder: Path) -> Checkpoint | None:
+    """Where a run goes on that was cut off; None if it must begin again."""
+    try:
+        return latest(folder / STATE, config.env.robots, config.run.id)
+    except CheckpointError:
+        (folder / "metrics.csv").unlink(missing_ok=True)  # or it would not be taken for a new run
+        return None
+
+
+def _run(config: Config, folder: Path, resumes: bool) -> None:
+    """Hands the run in and waits for its end."""
+    what = f"resume={folder}" if resumes else to_yaml(config)
+    with _runner(config, folder) as runner:
+        run_id = runner.submit(shlex.quote(what))
+        status = _awaited(runner, run_id, config.runtime.start_timeout_s)
+        if status.state is not RunState.COMPLETED:
+            raise _failure(folder, status, runner.log_tail(run_id))
+
+
+def _awaited(runner: Runner, run_id: int, patience_s: float) -> Status:
+    """How a run ended. That nobody says how it goes is no end of it, for some time.
+
+    Raises:
+        UnansweredError: there was no answer for ``patience_s``.
+        FlowerError: see ``Runner.status``.
+    """
+    heard = time.monotonic()
+    while True:
+        try:
+            status = runner.status(run_id)
+        except UnansweredError:
+            if time.monotonic() - heard > patience_s:
+                raise
+        else:
+            heard = time.monotonic()
+            if status.finished:
+                return status
+        time.sleep(getattr(runner, "poll_s", POLL_S))
+
+
+def _runner(config: Config, folder: Path) -> Runner:
+    clients, patience_s = flower_clients(config), config.runtime.start_timeout_s
+    log_path = folder / LOG_NAME
+    if config.runtime.name == "simulation":
+        return SimulationSuperLink(clients=clients, log_path=log_path, start_timeout_s=patience_s)
+    if config.runtime.connection is not None:
+        return Connection(config.runtime.connection)
+    return Federation(
+        nodes=clients,
+        secure=config.runtime.secure,
+        revive=config.federation.on_loss == "wait",
+        log_path=log_path,
+        start_timeout_s=patience_s,
+    )
+
+
+def _failure(folder: Path, status: Status, log_tail: str) -> FlowerError:
+    """What went wrong in one sentence, and the log where the run itself could not say."""
+    progress = read_progress(folder)
+    if progress is not None and progress["state"] == "failed":
+        message = str(progress["message"])
+        kind = ProcessLostError if message.startswith(LOSSES) else FlowerError
+        return kind(f"The run failed: {message} (log: {folder / LOG_NAME})")
+    message = f"The run ended as {status.state}. {status.details}".strip()
+    return (FlowerError if status.details.startswith("ServerApp failed") else ProcessLostError)(
+        message, log_tail
+    )

@@ -1,0 +1,152 @@
+"""Runs as the command line starts them: a folder each, progress, and what ends them early."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from conf import Config, ConfigError
+from env.plugins import PluginError
+from experiments.console import notices
+from experiments.console.display import Display, show_summary
+from experiments.console.mishaps import in_words
+from experiments.flower import FlowerError
+from experiments.runtimes import local, on_flower
+from experiments.runtimes.folders import alone, clear, placed
+from experiments.runtimes.stopping import StopSignals
+from lockstep import LinkError
+from storage.checkpoint_files import checkpoints
+from storage.checkpoint_layout import STATE, server_folder
+from training import resume
+from training.checkpoint import Checkpoint
+from training.session import STOP_FILE
+
+INTERRUPTED = 130
+ERRORS = (ConfigError, PluginError, FlowerError, LinkError, OSError)
+"""What ends a run with a sentence: a mistake, or a machine, disk or network that fails."""
+
+Runtime = Callable[[Config, Path, Checkpoint | None], dict[str, Any]]
+RUNTIMES: dict[str, Runtime] = {
+    "local": local.train,
+    "simulation": on_flower.train,
+    "deployment": on_flower.train,
+}
+
+
+def say(error: Exception) -> int:
+    """Prints what ended a run or kept it from starting; returns the exit status.
+
+    How to go on is said, too, where it is known.
+    """
+    print(
+        f"risfleet: {in_words(error)}", *getattr(error, "__notes__", []), sep="\n", file=sys.stderr
+    )
+    return 2 if isinstance(error, ConfigError | PluginError) else 1
+
+
+def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> int:
+    """Trains one run and shows it.
+
+    Args:
+        config: a checked configuration.
+        folder: the run's folder, new or empty unless it goes on.
+        resumed: where the run goes on, if it does not begin.
+
+    Returns:
+        0, or what ``StopSignals.status`` says if a signal ended the run early.
+    """
+    console = Console()
+    config, folder = _shown(config, folder, console)
+    with alone(folder):
+        if resumed is not None:
+            clear(folder)
+        return _train_shown(config, folder, resumed, console)
+
+
+def train_missing(config: Config) -> int:
+    """Trains and shows what the run in ``run.dir`` still misses, which may be all or nothing.
+
+    Returns:
+        See ``train``.
+
+    Raises:
+        ConfigError: the folder holds another run, or another process goes on in it.
+    """
+    console = Console()
+    config, folder = _shown(config, Path(str(config.run.dir)), console)
+    with alone(folder):
+        config, found = _ready(config, folder)
+        if isinstance(found, dict):
+            console.print("done before", highlight=False)
+            return 0
+        return _train_shown(config, folder, found, console)
+
+
+def train_quietly(config: Config) -> dict[str, Any]:
+    """Trains what the run in ``run.dir`` still misses, and shows nothing.
+
+    Returns:
+        What ``summary.json`` holds.
+
+    Raises:
+        ConfigError: the folder holds another run, or another process goes on in it.
+    """
+    config, folder = placed(config, Path(str(config.run.dir)))
+    with alone(folder):
+        config, found = _ready(config, folder)
+        if isinstance(found, dict):
+            return found
+        return RUNTIMES[config.runtime.name](config, folder, found)
+
+
+def _ready(config: Config, folder: Path) -> tuple[Config, dict[str, Any] | Checkpoint | None]:
+    """What a run has come to, or where it goes on, its folder made ready for that.
+
+    Returns:
+        The configuration, with the identity that the run has had so far, and what
+        ``resume.standing`` says.
+    """
+    found = resume.standing(config, folder)
+    if not isinstance(found, dict):
+        clear(folder, whole=found is None)
+    if isinstance(found, Checkpoint):
+        identity = found.meta.get("run")
+        config = dataclasses.replace(config, run=dataclasses.replace(config.run, id=identity))
+    return config, found
+
+
+def _train_shown(config: Config, folder: Path, resumed: Checkpoint | None, console: Console) -> int:
+    """Trains a run whose folder is held, with progress and signals."""
+    if resumed is not None:
+        for reason in resumed.passed_over:
+            console.print(f"passed over: {reason}", highlight=False, soft_wrap=True)
+        console.print(f"going on from window {resumed.window}", highlight=False)
+    with StopSignals([folder / STOP_FILE], console) as stop, Display(folder, console):
+        try:
+            summary = RUNTIMES[config.runtime.name](config, folder, resumed)
+        except ERRORS as error:
+            if checkpoints(server_folder(folder / STATE)):
+                error.add_note(f"To go on: {resume.how(folder)}")
+            raise
+    if summary:
+        show_summary(console, summary, folder)
+    else:
+        console.print("The run has ended; its folder is on the machine of the ServerApp.")
+    if stop.asked:
+        console.print(
+            f"Stopped early by {stop.name}: what was learned until then is in the run folder."
+        )
+    return stop.status
+
+
+def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, Path]:
+    """See ``placed``; says where the run is."""
+    config, folder = placed(config, folder)
+    console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+    notices.show(config, console)
+    return config, folder

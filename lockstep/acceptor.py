@@ -1,0 +1,196 @@
+"""The door: takes newcomers' hellos on a thread of its own, beside the run.
+
+A newcomer has a few seconds and a small buffer for its hello. Whatever it does, only a valid hello
+leads any further; everything else ends with a closed connection and a line in the log.
+"""
+
+import contextlib
+import hmac
+import logging
+import selectors
+import socket
+import ssl
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+from lockstep.errors import FrameError, described, named
+from lockstep.frame_stream import Wire, prepare
+from lockstep.frames import decode, encode
+from lockstep.messages import VERSION, Hello, Refused, Welcome
+from lockstep.wire_format import HELLO_SIZE
+
+log = logging.getLogger(__name__)
+MAX_NEWCOMERS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Admission:
+    """Who is let in: the terms of one round."""
+
+    fingerprint: str
+    blocks: tuple[tuple[int, ...], ...]
+    tokens: dict[int, str] = field(repr=False)
+
+    def refusal(self, hello: Hello) -> str | None:
+        """Why a hello is not good enough; None if it is."""
+        if hello.version != VERSION:
+            return f"the client speaks link version {hello.version}, the server {VERSION}"
+        if hello.fingerprint != self.fingerprint:
+            return (
+                f"the client runs '{hello.fingerprint}', the server '{self.fingerprint}': "
+                "install the same version on both"
+            )
+        if tuple(hello.robots) not in self.blocks or len(hello.tokens) != len(hello.robots):
+            return f"no client is expected with {named(hello.robots)}"
+        valid = True
+        for robot, token in zip(hello.robots, hello.tokens, strict=True):
+            valid &= hmac.compare_digest(token.encode(), self.tokens[robot].encode())
+        return None if valid else f"a token of {named(hello.robots)} is not valid in this round"
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """A client that was let in."""
+
+    admission: Admission
+    block: tuple[int, ...]
+    sock: socket.socket
+
+
+class Newcomer:
+    """A connection that has not said a valid hello yet."""
+
+    def __init__(self, sock: socket.socket, peer: str, deadline: float) -> None:
+        """A newcomer who has until `deadline` (monotonic, s) to say hello."""
+        self.sock, self.peer, self.deadline = sock, peer, deadline
+        self.wire = Wire(sock, HELLO_SIZE)
+        self._shaken = not isinstance(sock, ssl.SSLSocket)
+
+    def hear(self) -> Hello | None:
+        """The hello, None as long as it is not complete."""
+        if not self._shaken and isinstance(self.sock, ssl.SSLSocket):
+            try:
+                self.sock.do_handshake()
+            except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
+                return None
+            self._shaken = True
+        frame = self.wire.receive()
+        if frame is None:
+            return None
+        message = decode(frame)
+        if not isinstance(message, Hello) or self.wire.surplus:
+            raise FrameError("the first frame must be a hello, and nothing may follow it")
+        return message
+
+
+class Door(threading.Thread):
+    """Listens, hears hellos, and hands those who may come in to the run."""
+
+    def __init__(
+        self, listener: socket.socket, handshake_s: float, context: ssl.SSLContext | None
+    ) -> None:
+        """A door that is still shut; `start` opens it."""
+        super().__init__(name="link-door", daemon=True)
+        self.admission: Admission | None = None
+        self.arrivals: deque[Arrival] = deque()
+        self.bell, self._button = socket.socketpair()
+        self._listener, self._handshake_s, self._context = listener, handshake_s, context
+        self._halt, self._halter = socket.socketpair()
+        self._newcomers: dict[int, Newcomer] = {}
+        self._selector = selectors.DefaultSelector()
+        for sock in (listener, self.bell, self._button, self._halt):
+            sock.setblocking(False)
+
+    def run(self) -> None:
+        """Until `shut`, serve whoever comes; no newcomer can end or block this."""
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._halt, selectors.EVENT_READ)
+        while True:
+            first = min((n.deadline for n in self._newcomers.values()), default=None)
+            wait = None if first is None else max(0.0, first - time.monotonic())
+            for key, _ in self._selector.select(wait):
+                if key.fileobj is self._halt:
+                    return
+                if key.fileobj is self._listener:
+                    self._open()
+                elif key.fd in self._newcomers:
+                    self._hear(self._newcomers[key.fd])
+            now = time.monotonic()
+            for late in [n for n in self._newcomers.values() if n.deadline <= now]:
+                self._turn_away(late, "said no hello in time")
+
+    def shut(self) -> None:
+        """Stop, and close all that has not been handed over."""
+        if self.is_alive():
+            self._halter.send(b"x")
+            self.join()
+        for newcomer in self._newcomers.values():
+            newcomer.wire.close()
+        while self.arrivals:
+            self.arrivals.popleft().sock.close()
+        self._selector.close()
+        for sock in (self._listener, self.bell, self._button, self._halt, self._halter):
+            sock.close()
+
+    def _open(self) -> None:
+        """Accept one newcomer."""
+        try:
+            sock, address = self._listener.accept()
+        except OSError as error:
+            if not isinstance(error, BlockingIOError | ConnectionError):
+                log.warning("no connection can be accepted: %s", described(error))
+                time.sleep(0.1)
+            return
+        try:
+            sock.setblocking(False)
+            prepare(sock)
+            if self._context is not None:
+                sock = self._context.wrap_socket(
+                    sock, server_side=True, do_handshake_on_connect=False
+                )
+            peer = f"{address[0]}:{address[1]}"
+            newcomer = Newcomer(sock, peer, time.monotonic() + self._handshake_s)
+            self._selector.register(sock, selectors.EVENT_READ)
+        except (OSError, ValueError) as error:
+            log.warning("a connection was closed: %s", described(error))
+            sock.close()
+            return
+        self._newcomers[sock.fileno()] = newcomer
+        if len(self._newcomers) > MAX_NEWCOMERS:
+            self._turn_away(next(iter(self._newcomers.values())), "made room for others")
+
+    def _hear(self, newcomer: Newcomer) -> None:
+        """Let a newcomer speak; nothing that it says may do harm."""
+        try:
+            hello = newcomer.hear()
+            if hello is not None:
+                self._judge(newcomer, hello)
+        except Exception as error:
+            self._turn_away(newcomer, described(error))
+
+    def _judge(self, newcomer: Newcomer, hello: Hello) -> None:
+        """Hand a newcomer over to the run, or tell it why not."""
+        admission = self.admission
+        reason = "no round is open" if admission is None else admission.refusal(hello)
+        if admission is None or reason is not None:
+            newcomer.wire.send(encode(Refused(str(reason))), 0.0)
+            self._turn_away(newcomer, f"refused: {reason}")
+            return
+        newcomer.wire.send(encode(Welcome()), 0.0)
+        self._forget(newcomer)
+        self.arrivals.append(Arrival(admission, tuple(hello.robots), newcomer.sock))
+        with contextlib.suppress(BlockingIOError):
+            self._button.send(b"x")
+
+    def _turn_away(self, newcomer: Newcomer, reason: str) -> None:
+        """Close a connection and say why."""
+        log.warning("connection from %s closed: %s", newcomer.peer, reason)
+        self._forget(newcomer)
+        newcomer.wire.close()
+
+    def _forget(self, newcomer: Newcomer) -> None:
+        """Listen to a newcomer no more."""
+        self._selector.unregister(newcomer.sock)
+        del self._newcomers[newcomer.sock.fileno()]

@@ -1,0 +1,229 @@
+"""The client's end of the link over TCP: serves a handler's robots to the server."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import ssl
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lockstep.errors import Disconnected, FrameError, LinkTimeout, Refused, ServerLost, described
+from lockstep.frame_stream import Wire, prepare
+from lockstep.frames import decode, encode
+from lockstep.interface import Robots, answer
+from lockstep.messages import (
+    VERSION,
+    Actions,
+    Begin,
+    Failure,
+    Halt,
+    Hello,
+    Message,
+    Ready,
+    Step,
+    Want,
+    Weights,
+    Welcome,
+)
+from lockstep.messages import Refused as RefusedMessage
+from lockstep.wire_format import TEXT_SIZE, step_size, weights_size
+
+log = logging.getLogger(__name__)
+
+
+def serve(
+    address: tuple[str, int],
+    robots: Sequence[int],
+    tokens: Sequence[str],
+    handler: Robots,
+    *,
+    fingerprint: str,
+    timeout_s: float,
+    n_parameters: int,
+    patience_s: float | None = None,
+    return_s: float = 0.0,
+    client_context: ssl.SSLContext | None = None,
+) -> None:
+    """Serve one round: returns once the handler has taken the step that wants a FAREWELL.
+
+    Args:
+        address: host and port of the server.
+        robots: the robots that the handler holds, in its order.
+        tokens: a secret for each of them, in the same order.
+        handler: the robots.
+        fingerprint: of the software; the server must have the same.
+        timeout_s: the longest wait for a connection and a welcome, in s.
+        n_parameters: P, of one network.
+        patience_s: the longest silence after that, in s; `timeout_s` if None. The server is silent
+            while other clients join and while it evaluates; if it dies, that is noticed at once.
+        return_s: how long to try to come back where the connection breaks, in s; 0 does not try.
+            A server that has died is not waited for: its machine refuses the connection.
+        client_context: for TLS; none, no TLS.
+
+    Raises:
+        Refused: the server does not let this client in.
+        ServerLost: the server has gone, or never came.
+        LinkTimeout: the server has said nothing for that long.
+        FrameError: the server has said what it must not.
+    """
+    sock = _connected(address, timeout_s, client_context)
+    while True:
+        try:
+            line = _entered(sock, robots, tokens, fingerprint, timeout_s, n_parameters)
+            line.wait_up_to(timeout_s if patience_s is None else patience_s)
+            _attend(line, handler, len(robots), n_parameters)
+            return
+        except Disconnected as error:
+            if not return_s:
+                raise
+            log.warning("%s; coming back", error)
+        finally:
+            sock.close()
+        sock = _connected(address, return_s, client_context, if_refused=False)
+
+
+def _entered(
+    sock: socket.socket,
+    robots: Sequence[int],
+    tokens: Sequence[str],
+    fingerprint: str,
+    timeout_s: float,
+    n_parameters: int,
+) -> _Line:
+    """Say hello and hear the welcome."""
+    hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
+    limit = max(TEXT_SIZE, step_size(len(robots)), weights_size((2, n_parameters)))
+    line = _Line(Wire(sock, limit), timeout_s)
+    line.wait_up_to(timeout_s)
+    line.say(encode(hello))
+    answer = line.hear()
+    if isinstance(answer, RefusedMessage):
+        raise Refused(answer.reason)
+    if not isinstance(answer, Welcome):
+        raise FrameError(f"{type(answer).__name__} where a welcome is due")
+    return line
+
+
+class _Line:
+    """Messages from and to the server, and what it means when they stop."""
+
+    def __init__(self, wire: Wire, timeout_s: float) -> None:
+        """A line over a socket that has this timeout."""
+        self.wire, self._timeout_s = wire, timeout_s
+
+    def wait_up_to(self, timeout_s: float) -> None:
+        """Bear this much silence from now on."""
+        self._timeout_s = timeout_s
+        self.wire.set_timeout(timeout_s)
+
+    def hear(self) -> Message:
+        """The server's next message; its arrays are the caller's to keep."""
+        try:
+            frame = self.wire.receive()
+        except TimeoutError:
+            frame = None
+        except (OSError, EOFError) as error:
+            raise Disconnected(f"the server has gone: {described(error)}") from error
+        if frame is None:
+            raise LinkTimeout(f"no word from the server for {self._timeout_s:g} s")
+        return decode(bytearray(frame))
+
+    def say(self, frame: bytes) -> None:
+        """Send a frame."""
+        try:
+            self.wire.send(frame, self._timeout_s)
+        except OSError as error:
+            raise Disconnected(f"the server has gone: {described(error)}") from error
+
+
+def _attend(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
+    """Serve steps until the farewell; what goes wrong here is told to the server.
+
+    A process that is told to stop has not failed: to the server it is lost, and may come back.
+    """
+    try:
+        _converse(line, handler, count, n_parameters)
+    except (ServerLost, SystemExit, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        line.wire.finish(encode(Failure(described(error))), linger_s=1.0)
+        raise
+
+
+def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
+    """Serve steps until the farewell."""
+    uploaded = -1
+    while True:
+        message = line.hear()
+        if isinstance(message, Step):
+            if len(message.updates) != count:
+                raise FrameError(f"a step for {len(message.updates)} robots, not {count}")
+            given = answer(handler, message, n_parameters)
+            if given is None:
+                return
+            if message.want is Want.ACTIONS:
+                uploaded = -1
+                line.say(encode(Actions(message.tick, given)))
+            else:
+                uploaded = message.window
+                line.say(encode(Weights(message.window, given)))
+        elif isinstance(message, Weights) and message.window == uploaded:
+            handler.download(message.window, _fitting(message.weights, n_parameters))
+            uploaded = -1
+        elif isinstance(message, Halt):
+            uploaded = -1
+            line.say(encode(Ready(message.number, tuple(handler.windows()))))
+        elif isinstance(message, Begin):
+            model = message.model
+            handler.begin(message.window, None if model is None else _fitting(model, n_parameters))
+            uploaded = -1
+            line.say(encode(Ready(message.number)))
+        elif isinstance(message, Failure):
+            raise ServerLost(f"the server has stopped: {message.reason}")
+        else:
+            raise FrameError(f"{type(message).__name__} out of turn")
+
+
+def _fitting(model: NDArray[np.float32], n_parameters: int) -> NDArray[np.float32]:
+    """A model of the server's, if it has the shape that was agreed."""
+    if model.shape != (2, n_parameters):
+        raise FrameError(f"weights of shape {model.shape}, not {2, n_parameters}")
+    return model
+
+
+def _connected(
+    address: tuple[str, int],
+    timeout_s: float,
+    context: ssl.SSLContext | None,
+    *,
+    if_refused: bool = True,
+) -> socket.socket:
+    """A connection to the server, tried again until the deadline, also if it is refused or not."""
+    deadline = time.monotonic() + timeout_s
+    pause = 0.05
+    while True:
+        rest = max(0.05, deadline - time.monotonic())
+        try:
+            sock = socket.create_connection(address, timeout=rest)
+            break
+        except OSError as error:
+            refused = isinstance(error, ConnectionRefusedError) and not if_refused
+            if refused or time.monotonic() + pause >= deadline:
+                where = f"{address[0]}:{address[1]}"
+                raise ServerLost(f"no connection to {where}: {described(error)}") from error
+            log.debug("no connection yet: %s", described(error))
+        time.sleep(pause)
+        pause = min(1.0, 2 * pause)
+    sock.settimeout(timeout_s)
+    prepare(sock)
+    if context is None:
+        return sock
+    try:
+        return context.wrap_socket(sock, server_hostname=address[0])
+    except OSError as error:
+        sock.close()
+        raise ServerLost(f"no TLS with the server: {described(error)}") from error

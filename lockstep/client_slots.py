@@ -1,0 +1,54 @@
+"""A client's place in a round."""
+
+from dataclasses import dataclass
+
+from lockstep.frame_stream import Wire
+from lockstep.messages import rows_of
+from lockstep.wire_format import RECORD, TEXT_SIZE, actions_size, weights_size
+
+
+@dataclass(slots=True)
+class BlockStats:
+    """What one client has cost so far, over all rounds.
+
+    Attributes:
+        waited_s: for this client's answers.
+        gathered_s: for those of all clients.
+    """
+
+    bytes_sent: int = 0
+    bytes_received: int = 0
+    frames_sent: int = 0
+    frames_received: int = 0
+    waited_s: float = 0.0
+    gathered_s: float = 0.0
+
+    @property
+    def ahead_s(self) -> float:
+        """How long this client had answered while others had not."""
+        return self.gathered_s - self.waited_s
+
+
+class Seat:
+    """One client's place in the round, whether or not it is taken."""
+
+    def __init__(self, block: tuple[int, ...], shape: tuple[int, int], stats: BlockStats) -> None:
+        """A free seat for the client that holds the robots of `block`."""
+        self.block = block
+        self.rows = rows_of(block)
+        self._cuts = [slice(k * RECORD, (k + 1) * RECORD) for k in block]
+        if isinstance(self.rows, slice):
+            self._cuts = [slice(self.rows.start * RECORD, self.rows.stop * RECORD)]
+        self.upload_shape = (len(block), *shape)
+        self.limit = max(TEXT_SIZE, actions_size(len(block)), weights_size(self.upload_shape))
+        self.stats = stats
+        self.wire: Wire | None = None
+        self.awaited = False
+        self.windows: frozenset[int] = frozenset()  # of its last `Ready`
+        self.stale = False  # what comes is older than the last `Halt` or `Begin`
+
+    def records(self, fleet: bytes) -> bytes:
+        """This seat's part of the bytes of all robots' UPDATE records."""
+        if len(self._cuts) == 1:
+            return fleet[self._cuts[0]]
+        return b"".join([fleet[cut] for cut in self._cuts])

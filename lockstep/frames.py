@@ -1,0 +1,279 @@
+"""Messages as length-prefixed binary frames, and back.
+
+A frame is a header of 12 bytes (magic, version, kind, zero, length of the body; little-endian)
+and a body of fixed layout. `HELLO` (JSON) and `REFUSED` (UTF-8) keep their layout in all versions
+and are read whatever version the header names, so that two versions can tell each other apart.
+Readers of the JSON bodies ignore keys that they do not know.
+"""
+
+import json
+import math
+import struct
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lockstep.errors import TEXT_LIMIT, FrameError, one_line
+from lockstep.messages import (
+    MAX_ROBOTS,
+    UPDATE,
+    VERSION,
+    Actions,
+    Begin,
+    Failure,
+    Flag,
+    Halt,
+    Hello,
+    Message,
+    Ready,
+    Refused,
+    Step,
+    Want,
+    Weights,
+    Welcome,
+)
+from lockstep.wire_format import (
+    ACTIONS,
+    BEGIN,
+    BODY_LIMITS,
+    HALT,
+    HEADER,
+    MAGIC,
+    MOST_WINDOWS,
+    READY,
+    RECORD,
+    STEP,
+    WEIGHTS,
+    Kind,
+    frame_size,
+)
+
+_STEP_FRAME = struct.Struct("<4sBBHIQIBxH")
+_ACTIONS_FRAME = struct.Struct("<4sBBHIQI")
+_FLAGS = int(Flag.OUTCOME | Flag.ARRIVED | Flag.DRIVING)
+_WANTS = tuple(Want)
+
+
+def step_frame(tick: int, window: int, want: Want, records: bytes) -> bytes:
+    """The frame of a `Step`, from the bytes of its UPDATE records.
+
+    Raises:
+        FrameError: tick or window does not fit its field.
+    """
+    count = len(records) // RECORD
+    try:
+        head = _STEP_FRAME.pack(
+            MAGIC, VERSION, Kind.STEP, 0, STEP.size + len(records), tick, window, want, count
+        )
+    except struct.error as error:
+        raise FrameError(f"tick {tick} or window {window} is out of range") from error
+    return head + records
+
+
+def encode(message: Message) -> bytes:
+    """A message as one frame.
+
+    Raises:
+        FrameError: a value does not fit its field.
+    """
+    try:
+        return _ENCODERS[type(message)](message)
+    except struct.error as error:
+        raise FrameError(f"{type(message).__name__} does not fit its frame: {error}") from error
+
+
+def _framed(kind: Kind, *parts: bytes | memoryview) -> bytes:
+    """A frame whose body is these parts, one behind the other."""
+    length = sum(memoryview(part).nbytes for part in parts)
+    if length > BODY_LIMITS[kind]:
+        raise FrameError(f"a {kind.name} frame of {length} bytes, of at most {BODY_LIMITS[kind]}")
+    return b"".join((HEADER.pack(MAGIC, VERSION, kind, 0, length), *parts))
+
+
+def _encode_step(step: Step) -> bytes:
+    records = np.ascontiguousarray(step.updates, UPDATE).tobytes()
+    return step_frame(step.tick, step.window, step.want, records)
+
+
+def _encode_actions(message: Actions) -> bytes:
+    actions = np.ascontiguousarray(message.actions, "<i4")
+    return _ACTIONS_FRAME.pack(*_actions_head(message.tick, len(actions))) + actions.tobytes()
+
+
+def _encode_weights(message: Weights) -> bytes:
+    weights = np.ascontiguousarray(message.weights, "<f4")
+    if weights.ndim not in (2, 3) or 0 in weights.shape:
+        raise FrameError(f"weights of shape {weights.shape}")
+    shape = weights.shape + (0,) * (3 - weights.ndim)
+    return _framed(Kind.WEIGHTS, WEIGHTS.pack(message.window, weights.ndim, *shape), weights.data)
+
+
+def _encode_begin(begin: Begin) -> bytes:
+    if begin.model is None:
+        return _framed(Kind.BEGIN, BEGIN.pack(begin.number, begin.window, 0, 0))
+    model = np.ascontiguousarray(begin.model, "<f4")
+    if model.ndim != 2 or 0 in model.shape:
+        raise FrameError(f"a model of shape {model.shape}")
+    return _framed(Kind.BEGIN, BEGIN.pack(begin.number, begin.window, *model.shape), model.data)
+
+
+def _encode_ready(ready: Ready) -> bytes:
+    windows = ready.windows[-MOST_WINDOWS:]
+    head = READY.pack(ready.number, len(windows))
+    return _framed(Kind.READY, head, struct.pack(f"<{len(windows)}I", *windows))
+
+
+def _encode_hello(hello: Hello) -> bytes:
+    fields = {name: getattr(hello, name) for name in ("version", "fingerprint", "robots", "tokens")}
+    return _framed(Kind.HELLO, json.dumps(fields).encode())
+
+
+_ENCODERS: dict[type, Callable[[Any], bytes]] = {
+    Step: _encode_step,
+    Actions: _encode_actions,
+    Weights: _encode_weights,
+    Hello: _encode_hello,
+    Welcome: lambda m: _framed(Kind.WELCOME, json.dumps({"version": m.version}).encode()),
+    Begin: _encode_begin,
+    Ready: _encode_ready,
+    Halt: lambda m: _framed(Kind.HALT, HALT.pack(m.number)),
+    Refused: lambda m: _framed(Kind.REFUSED, one_line(m.reason).encode()),
+    Failure: lambda m: _framed(Kind.FAILURE, one_line(m.reason).encode()),
+}
+
+
+def _actions_head(tick: int, count: int) -> tuple[bytes, int, int, int, int, int, int]:
+    """What stands before the actions of `count` robots."""
+    return MAGIC, VERSION, Kind.ACTIONS, 0, ACTIONS.size + 4 * count, tick, count
+
+
+def actions_in(frame: memoryview, tick: int, count: int) -> NDArray[np.int32]:
+    """The actions in a frame that must be the answer to one step.
+
+    Raises:
+        FrameError: it is any other frame.
+    """
+    head = _ACTIONS_FRAME.unpack_from(frame) if len(frame) >= _ACTIONS_FRAME.size else ()
+    if head == _actions_head(tick, count):
+        return np.frombuffer(frame, "<i4", count, _ACTIONS_FRAME.size)
+    message = decode(frame)
+    if not isinstance(message, Actions) or message.tick != tick:
+        raise FrameError(f"{type(message).__name__} where actions of tick {tick} are due")
+    raise FrameError(f"{len(message.actions)} actions for {count} robots")
+
+
+def decode(frame: memoryview | bytes | bytearray) -> Message:
+    """The message in a whole frame; its arrays are views of the frame.
+
+    Raises:
+        FrameError: anything about the frame is not as it must be.
+    """
+    view = memoryview(frame)
+    if len(view) < HEADER.size:
+        raise FrameError(f"a frame of {len(view)} bytes is shorter than its header")
+    if frame_size(view, len(view)) != len(view):
+        raise FrameError("a frame's length is not what its header says")
+    try:
+        return _DECODERS[view[5]](view[HEADER.size :])
+    except (struct.error, ValueError, RecursionError) as error:
+        raise FrameError(f"malformed {Kind(view[5]).name} frame: {one_line(error, 200)}") from error
+
+
+def _decode_step(body: memoryview) -> Step:
+    tick, window, want, count = STEP.unpack_from(body)
+    if want >= len(_WANTS) or not 1 <= count <= MAX_ROBOTS:
+        raise ValueError("what it wants or its number of robots is out of range")
+    if len(body) != STEP.size + count * RECORD:
+        raise ValueError(f"{len(body)} bytes are not {count} records")
+    if max(body[STEP.size :: RECORD]) > _FLAGS or any(body[STEP.size + 1 :: RECORD]):
+        raise ValueError("unknown flags")
+    return Step(tick, window, _WANTS[want], np.frombuffer(body, UPDATE, count, STEP.size))
+
+
+def _decode_actions(body: memoryview) -> Actions:
+    tick, count = ACTIONS.unpack_from(body)
+    if not 1 <= count <= MAX_ROBOTS or len(body) != ACTIONS.size + 4 * count:
+        raise ValueError(f"{len(body)} bytes are not {count} actions")
+    return Actions(tick, np.frombuffer(body, "<i4", count, ACTIONS.size))
+
+
+def _decode_weights(body: memoryview) -> Weights:
+    window, ndim, *dims = WEIGHTS.unpack_from(body)
+    if ndim not in (2, 3) or 0 in dims[:ndim] or any(dims[ndim:]):
+        raise ValueError(f"{ndim} dimensions {dims}")
+    if len(body) != WEIGHTS.size + 4 * math.prod(dims[:ndim]):
+        raise ValueError(f"{len(body)} bytes are not weights of shape {dims[:ndim]}")
+    return Weights(window, np.frombuffer(body, "<f4", offset=WEIGHTS.size).reshape(dims[:ndim]))
+
+
+def _decode_begin(body: memoryview) -> Begin:
+    number, window, *shape = BEGIN.unpack_from(body)
+    if len(body) != BEGIN.size + 4 * math.prod(shape) or (0 in shape and any(shape)):
+        raise ValueError(f"{len(body)} bytes are not a model of shape {shape}")
+    if not any(shape):
+        return Begin(number, window, None)
+    return Begin(number, window, np.frombuffer(body, "<f4", offset=BEGIN.size).reshape(shape))
+
+
+def _decode_ready(body: memoryview) -> Ready:
+    number, count = READY.unpack_from(body)
+    if len(body) != READY.size + 4 * count:
+        raise ValueError(f"{len(body)} bytes are not {count} windows")
+    return Ready(number, struct.unpack_from(f"<{count}I", body, READY.size))
+
+
+def _decode_halt(body: memoryview) -> Halt:
+    if len(body) != HALT.size:
+        raise ValueError(f"{len(body)} bytes")
+    return Halt(*HALT.unpack(body))
+
+
+def _number(value: object, limit: int) -> int:
+    if type(value) is not int or not 0 <= value < limit:
+        raise ValueError("a number is missing or out of range")
+    return value
+
+
+def _text(value: object, limit: int) -> str:
+    if not isinstance(value, str) or len(value) > limit or not value.isprintable():
+        raise ValueError("a text is missing, too long or not printable")
+    return value
+
+
+def _many(value: object) -> list[object]:
+    if not isinstance(value, list) or not 1 <= len(value) <= MAX_ROBOTS:
+        raise ValueError("a list is missing, empty or too long")
+    return value
+
+
+def _fields(body: memoryview) -> dict[str, object]:
+    fields = json.loads(bytes(body))
+    if not isinstance(fields, dict):
+        raise ValueError("no JSON object")
+    return cast(dict[str, object], fields)
+
+
+def _decode_hello(body: memoryview) -> Hello:
+    fields = _fields(body)
+    return Hello(
+        version=_number(fields.get("version"), 2**16),
+        fingerprint=_text(fields.get("fingerprint"), TEXT_LIMIT),
+        robots=[_number(robot, MAX_ROBOTS) for robot in _many(fields.get("robots"))],
+        tokens=[_text(token, 256) for token in _many(fields.get("tokens"))],
+    )
+
+
+_DECODERS: dict[int, Callable[[memoryview], Message]] = {
+    Kind.HELLO: _decode_hello,
+    Kind.WELCOME: lambda body: Welcome(_number(_fields(body).get("version"), 2**16)),
+    Kind.REFUSED: lambda body: Refused(one_line(str(body, "utf-8"))),
+    Kind.FAILURE: lambda body: Failure(one_line(str(body, "utf-8"))),
+    Kind.STEP: _decode_step,
+    Kind.ACTIONS: _decode_actions,
+    Kind.WEIGHTS: _decode_weights,
+    Kind.BEGIN: _decode_begin,
+    Kind.READY: _decode_ready,
+    Kind.HALT: _decode_halt,
+}

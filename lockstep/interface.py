@@ -1,0 +1,130 @@
+"""The two ends of the link, whatever lies between them."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lockstep.errors import OutOfTurn
+from lockstep.messages import Step, Want, checked_actions, checked_weights
+
+
+class Robots(Protocol):
+    """Client side: n robots with no loop of their own. What they are given is theirs to keep."""
+
+    def step(self, step: Step) -> NDArray[np.int32] | None:
+        """Learn from the outcome; answer int32 (n,) if the step wants actions, else None."""
+        ...
+
+    def upload(self) -> NDArray[np.float32]:
+        """Online and target weights of each robot, float32 (n, 2, P)."""
+        ...
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """Take the global model of a window, float32 (2, P)."""
+        ...
+
+    def windows(self) -> Sequence[int]:
+        """Windows of which all these robots have a checkpoint, whole and unchanged."""
+        ...
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """Go to the state after a window, 0 being the start; then take a model (2, P), if any."""
+        ...
+
+
+def answer(handler: Robots, step: Step, n_parameters: int | None) -> np.ndarray | None:
+    """What a handler answers to a step, checked: actions, weights, or nothing to a farewell.
+
+    Args:
+        handler: of n robots.
+        step: for them.
+        n_parameters: P, or None as long as it is not known.
+    """
+    count = len(step.updates)
+    actions = handler.step(step)
+    if step.want is Want.ACTIONS:
+        return checked_actions(actions, count)
+    if step.want is Want.FAREWELL:
+        return None
+    weights = handler.upload()
+    if n_parameters is None:
+        n_parameters = weights.shape[-1]
+    return checked_weights(weights, (count, 2, n_parameters))
+
+
+class Fleet(Protocol):
+    """Server side: all K robots, in robot order."""
+
+    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
+        """Send each robot its record of `updates`, (K,) UPDATE; return at once where possible."""
+        ...
+
+    def actions(self, tick: int) -> NDArray[np.int32]:
+        """The answers to the step of this tick, int32 (K,), -1 where a robot is not driving."""
+        ...
+
+    def upload(self, window: int) -> NDArray[np.float32]:
+        """The weights after a window, float32 (K, 2, P)."""
+        ...
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """Give all robots the global model of a window, float32 (2, P)."""
+        ...
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """Send all robots to the state after a window, 0 being the start, with its model."""
+        ...
+
+    def close(self) -> None:
+        """End the conversation."""
+        ...
+
+
+class Turn:
+    """Where a fleet's conversation is, so that both forms of the link keep the same order.
+
+    `tell(ACTIONS)`, `actions`; `tell(WEIGHTS)`, `upload` and, if the server has a new model,
+    `download`; `tell(FAREWELL)`, and nothing more until the next round.
+    """
+
+    def __init__(self) -> None:
+        """A conversation that has not begun."""
+        self.tick = -1
+        self.window = -1
+        self._next = "tell"
+
+    def __str__(self) -> str:
+        """For messages: which tick and window, or that nothing was told yet."""
+        if self.tick < 0:
+            return "before the first step"
+        return f"at tick {self.tick}, window {self.window}"
+
+    def told(self, tick: int, window: int, want: Want) -> None:
+        """A step goes out."""
+        if self._next not in ("tell", "download"):
+            raise OutOfTurn(f"a step for tick {tick} is told where {self._next} is due, {self}")
+        self.tick, self.window = tick, window
+        self._next = _AFTER[want]
+
+    def acting(self, tick: int) -> None:
+        """Actions are asked for."""
+        if self._next != "actions" or tick != self.tick:
+            raise OutOfTurn(f"actions of tick {tick} where {self._next} is due, {self}")
+        self._next = "tell"
+
+    def uploading(self, window: int) -> None:
+        """An upload is asked for."""
+        if self._next != "upload" or window != self.window:
+            raise OutOfTurn(f"an upload of window {window} where {self._next} is due, {self}")
+        self._next = "download"
+
+    def downloading(self, window: int) -> None:
+        """A global model goes out."""
+        if self._next != "download" or window != self.window:
+            raise OutOfTurn(f"a download of window {window} where {self._next} is due, {self}")
+        self._next = "tell"
+
+
+_AFTER = {Want.ACTIONS: "actions", Want.WEIGHTS: "upload", Want.FAREWELL: "a new round"}

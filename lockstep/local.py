@@ -1,0 +1,119 @@
+"""The link within one process: the same conversation, as calls."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lockstep.errors import LinkError, RobotFailed, described
+from lockstep.interface import Robots, Turn
+from lockstep.messages import (
+    Step,
+    Want,
+    checked_actions,
+    checked_updates,
+    checked_weights,
+    robot_count,
+    rows_of,
+)
+
+_T = TypeVar("_T", bound=np.generic)
+
+
+class LocalFleet:
+    """A `Fleet` of handlers in this process, called one after the other.
+
+    Handlers see the same calls as over TCP. What one of them raises comes out as `RobotFailed`,
+    at once and not only where its answer is asked for. Weights are taken where they are asked for:
+    in a stack of several runs, robots learn after they have been told.
+    """
+
+    def __init__(self, handlers: Sequence[tuple[tuple[int, ...], Robots]]) -> None:
+        """A fleet that has not been told anything yet.
+
+        Args:
+            handlers: each with the robots that it holds; together 0..K-1.
+        """
+        self._robots = robot_count([block for block, _ in handlers])
+        self._handlers = [(tuple(block), rows_of(block), handler) for block, handler in handlers]
+        self._turn = Turn()
+        self._answers: list[NDArray[np.int32]] = []
+        self._parameters: int | None = None
+        self._closed = False
+
+    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
+        """See `Fleet.tell`."""
+        self._check_open()
+        checked_updates(updates, self._robots)
+        self._turn.told(tick, window, want)
+        answers = self._answers = []
+        for block, rows, handler in self._handlers:
+            step = Step(tick, window, want, updates[rows].copy())
+            with self._failing(block):
+                actions = handler.step(step)
+                if want is Want.ACTIONS:
+                    answers.append(checked_actions(actions, len(block)))
+
+    def actions(self, tick: int) -> NDArray[np.int32]:
+        """See `Fleet.actions`."""
+        self._check_open()
+        self._turn.acting(tick)
+        return self._gathered(self._answers, np.empty(self._robots, np.int32))
+
+    def upload(self, window: int) -> NDArray[np.float32]:
+        """See `Fleet.upload`."""
+        self._check_open()
+        self._turn.uploading(window)
+        return self._uploaded()
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """See `Fleet.download`."""
+        self._check_open()
+        checked_weights(weights, (2, self._parameters or 0))
+        self._turn.downloading(window)
+        for block, _, handler in self._handlers:
+            with self._failing(block):
+                handler.download(window, weights.copy())
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """See `Fleet.begin`."""
+        self._check_open()
+        self._turn = Turn()
+        for block, _, handler in self._handlers:
+            with self._failing(block):
+                handler.begin(window, None if model is None else model.copy())
+
+    def close(self) -> None:
+        """See `Fleet.close`."""
+        self._closed = True
+
+    def _uploaded(self) -> NDArray[np.float32]:
+        """The robots' weights as they are now, in robot order."""
+        parts: list[NDArray[np.float32]] = []
+        for block, _, handler in self._handlers:
+            with self._failing(block):
+                weights = handler.upload()
+                if self._parameters is None:
+                    self._parameters = weights.shape[-1]
+                parts.append(checked_weights(weights, (len(block), 2, self._parameters)))
+        return self._gathered(parts, np.empty((self._robots, 2, self._parameters or 0), np.float32))
+
+    def _gathered(self, parts: Sequence[NDArray[_T]], result: NDArray[_T]) -> NDArray[_T]:
+        """The handlers' parts, in robot order."""
+        for (_, rows, _), given in zip(self._handlers, parts, strict=True):
+            result[rows] = given
+        return result
+
+    @contextmanager
+    def _failing(self, block: tuple[int, ...]) -> Iterator[None]:
+        """Whatever a handler raises is its robots' failure."""
+        try:
+            yield
+        except Exception as error:
+            raise RobotFailed(block, str(self._turn), described(error)) from error
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise LinkError("the link is closed")

@@ -1,0 +1,208 @@
+"""The server's end of the link over TCP: a fleet whose robots are elsewhere."""
+
+import socket
+import ssl
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lockstep.acceptor import Admission, Door
+from lockstep.client_slots import BlockStats, Seat
+from lockstep.errors import FrameError, LinkError
+from lockstep.frames import actions_in, decode, encode, step_frame
+from lockstep.messages import Want, Weights, checked_updates, checked_weights, robot_count
+from lockstep.server_round import Exchange
+
+
+class LinkServer:
+    """Listens for the robots' clients and, once a round is open, drives them as a `Fleet`.
+
+    A round is opened with `admit`, begins with `wait_connected` and ends with a step that wants a
+    FAREWELL, with the next `admit`, or with `close`. Newcomers are heard on a thread of their own;
+    everything else happens in the caller's, which must be one at a time.
+    """
+
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        *,
+        fingerprint: str,
+        timeout_s: float,
+        handshake_s: float = 5.0,
+        server_context: ssl.SSLContext | None = None,
+    ) -> None:
+        """Listen.
+
+        Args:
+            host: address to listen on.
+            port: 0 picks a free one, see `address`.
+            fingerprint: of the software; clients must have the same.
+            timeout_s: the longest wait for an answer, in s.
+            handshake_s: what a newcomer has to say hello, in s.
+            server_context: for TLS; none, no TLS.
+
+        Raises:
+            LinkError: the address cannot be listened on.
+        """
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        try:
+            listener = socket.create_server((host, port), family=family, backlog=128)
+        except (OSError, OverflowError) as error:
+            raise LinkError(f"cannot listen on {host}:{port}: {error}") from error
+        self._address = (host, int(listener.getsockname()[1]))
+        self._fingerprint, self._timeout_s = fingerprint, timeout_s
+        self._stats: dict[tuple[int, ...], BlockStats] = {}
+        self._exchange: Exchange | None = None
+        self._robots = 0
+        self._shape = (0, 0)
+        self._door = Door(listener, handshake_s, server_context)
+        self._door.start()
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host, as it was given, and port."""
+        return self._address
+
+    def admit(
+        self,
+        blocks: Sequence[tuple[int, ...]],
+        tokens: Mapping[int, str],
+        weights_shape: tuple[int, int],
+    ) -> None:
+        """Open a round; the one before, if any, is over, and its connections are closed.
+
+        Args:
+            blocks: the robots of each client; together 0..K-1.
+            tokens: a secret for each robot, for this round only.
+            weights_shape: (2, P).
+        """
+        robots = robot_count(blocks)
+        if missing := [robot for robot in range(robots) if not tokens.get(robot)]:
+            raise ValueError(f"no token for robots {missing}")
+        self._part("a new round has begun")
+        self._robots, self._shape = robots, weights_shape
+        seats = [
+            Seat(block, weights_shape, self._stats.setdefault(block, BlockStats()))
+            for block in map(tuple, blocks)
+        ]
+        admission = Admission(self._fingerprint, tuple(seat.block for seat in seats), dict(tokens))
+        self._exchange = Exchange(
+            admission, seats, self._door.arrivals, self._door.bell, self._timeout_s
+        )
+        self._door.admission = admission
+
+    def wait_connected(self, deadline_s: float, poll: Callable[[], None] | None = None) -> None:
+        """Wait until all clients of the round are connected.
+
+        Args:
+            deadline_s: the longest wait, in s.
+            poll: called about every 0.2 s; what it raises ends the wait.
+
+        Raises:
+            LinkTimeout: the deadline has passed; it names the robots that did not come.
+            RobotLost, RobotFailed: one that had come is gone again.
+        """
+        self._open.fill(deadline_s, poll)
+
+    def free(self) -> list[tuple[int, ...]]:
+        """The blocks of the round whose client is not connected, as far as has been noticed."""
+        return [seat.block for seat in self._open.free()]
+
+    def renew(self, block: tuple[int, ...], tokens: Mapping[int, str]) -> None:
+        """Let a block's robots in with these tokens only: a client that has older ones is out."""
+        self._open.renew(block, tokens)
+
+    def halt(self) -> list[int]:
+        """Make all clients drop what is under way, once they are connected.
+
+        Returns:
+            The windows, ascending, of which all robots have a checkpoint.
+
+        Raises:
+            RobotLost, RobotFailed, LinkTimeout: one is gone, or does not answer.
+        """
+        return self._open.halt()
+
+    def kept(self) -> dict[tuple[int, ...], frozenset[int]]:
+        """The windows of which each client has its robots' checkpoints, as `halt` has found."""
+        return {block: seat.windows for block, seat in self._open.seats.items()}
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """See `Fleet.begin`; once all clients are connected, whatever was under way."""
+        self._open.begin(window, model if model is None else checked_weights(model, self._shape))
+
+    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
+        """See `Fleet.tell`."""
+        exchange = self._open
+        records = checked_updates(updates, self._robots).tobytes()
+        exchange.turn.told(tick, window, want)
+        awaited = want is not Want.FAREWELL
+        for seat in exchange.seats.values():
+            frame = step_frame(tick, window, want, seat.records(records))
+            exchange.send(seat, frame, awaited)
+
+    def actions(self, tick: int) -> NDArray[np.int32]:
+        """See `Fleet.actions`."""
+        exchange = self._open
+        exchange.turn.acting(tick)
+        result = np.empty(self._robots, np.int32)
+
+        def accept(seat: Seat, frame: memoryview) -> None:
+            result[seat.rows] = actions_in(frame, tick, len(seat.block))
+
+        exchange.gather(accept)
+        return result
+
+    def upload(self, window: int) -> NDArray[np.float32]:
+        """See `Fleet.upload`."""
+        exchange = self._open
+        exchange.turn.uploading(window)
+        result = np.empty((self._robots, *self._shape), np.float32)
+
+        def accept(seat: Seat, frame: memoryview) -> None:
+            message = decode(frame)
+            if not isinstance(message, Weights) or message.window != window:
+                raise FrameError(
+                    f"{type(message).__name__} where weights of window {window} are due"
+                )
+            if message.weights.shape != seat.upload_shape:
+                raise FrameError(
+                    f"weights of shape {message.weights.shape}, not {seat.upload_shape}"
+                )
+            result[seat.rows] = message.weights
+
+        exchange.gather(accept)
+        return result
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """See `Fleet.download`."""
+        exchange = self._open
+        frame = encode(Weights(window, checked_weights(weights, self._shape)))
+        exchange.turn.downloading(window)
+        for seat in exchange.seats.values():
+            exchange.send(seat, frame, awaited=False)
+
+    def stats(self) -> dict[tuple[int, ...], BlockStats]:
+        """What each client has cost so far, over all rounds: bytes, frames, seconds waited."""
+        return dict(self._stats)
+
+    def close(self, reason: str = "the server has closed the link") -> None:
+        """End the round, tell the clients why, and stop listening."""
+        self._part(reason)
+        self._door.shut()
+
+    @property
+    def _open(self) -> Exchange:
+        """The round that is open."""
+        if self._exchange is None:
+            raise LinkError("no round is open: call admit first")
+        return self._exchange
+
+    def _part(self, reason: str) -> None:
+        """End the round, if there is one."""
+        self._door.admission = None
+        if self._exchange is not None:
+            self._exchange.part(reason)
+            self._exchange = None

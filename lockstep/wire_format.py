@@ -1,0 +1,88 @@
+"""The header of a frame, the kinds of frames and how long each may be."""
+
+import math
+import struct
+from enum import IntEnum
+
+from lockstep.errors import TEXT_LIMIT, FrameError
+from lockstep.messages import MAX_ROBOTS, UPDATE, VERSION
+
+MAGIC = b"RISF"
+HEADER = struct.Struct("<4sBBHI")
+STEP = struct.Struct("<QIBxH")
+ACTIONS = struct.Struct("<QI")
+WEIGHTS = struct.Struct("<IB3xIII")
+BEGIN = struct.Struct("<IIII")
+HALT = struct.Struct("<I")
+READY = struct.Struct("<IH")
+MOST_WINDOWS = 256
+RECORD = UPDATE.itemsize
+
+
+class Kind(IntEnum):
+    """What a frame holds."""
+
+    HELLO = 1
+    WELCOME = 2
+    REFUSED = 3
+    FAILURE = 4
+    STEP = 5
+    ACTIONS = 6
+    WEIGHTS = 7
+    BEGIN = 8
+    READY = 9
+    HALT = 10
+
+
+TEXT_SIZE = HEADER.size + 4 * TEXT_LIMIT
+HELLO_SIZE = 2**16
+BODY_LIMITS = {
+    Kind.HELLO: HELLO_SIZE - HEADER.size,
+    Kind.WELCOME: 4 * TEXT_LIMIT,
+    Kind.REFUSED: 4 * TEXT_LIMIT,
+    Kind.FAILURE: 4 * TEXT_LIMIT,
+    Kind.STEP: STEP.size + MAX_ROBOTS * RECORD,
+    Kind.ACTIONS: ACTIONS.size + MAX_ROBOTS * 4,
+    Kind.WEIGHTS: WEIGHTS.size + 2**30,
+    Kind.BEGIN: BEGIN.size + 2**30,
+    Kind.READY: READY.size + 4 * MOST_WINDOWS,
+    Kind.HALT: HALT.size,
+}
+
+
+def step_size(count: int) -> int:
+    """Bytes of a step for `count` robots."""
+    return HEADER.size + STEP.size + count * RECORD
+
+
+def actions_size(count: int) -> int:
+    """Bytes of the actions of `count` robots."""
+    return HEADER.size + ACTIONS.size + count * 4
+
+
+def weights_size(shape: tuple[int, ...]) -> int:
+    """Bytes of a frame of weights."""
+    return HEADER.size + WEIGHTS.size + 4 * math.prod(shape)
+
+
+def frame_size(head: memoryview, limit: int) -> int:
+    """Bytes of the frame that begins here, header included.
+
+    Args:
+        head: at least `HEADER.size` bytes.
+        limit: the longest frame that the reader takes.
+
+    Raises:
+        FrameError: this is no header, or the frame would be too long.
+    """
+    magic, version, kind, zero, length = HEADER.unpack_from(head)
+    if magic != MAGIC or zero:
+        raise FrameError("not a frame of the link")
+    if kind not in BODY_LIMITS:
+        raise FrameError(f"unknown kind of frame {kind}")
+    if version != VERSION and kind not in (Kind.HELLO, Kind.REFUSED):
+        raise FrameError(f"link version {version}, where {VERSION} is spoken")
+    size: int = HEADER.size + length
+    if length > BODY_LIMITS[kind] or size > limit:
+        raise FrameError(f"a {Kind(kind).name} frame of {size} bytes, of at most {limit}")
+    return size

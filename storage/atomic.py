@@ -1,0 +1,72 @@
+"""Files that appear whole or not at all, and errors that say which file they are about."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+pass
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Puts a file in its place so that it appears whole or not at all, and outlasts a crash.
+
+    Raises:
+        OSError: it cannot be written; nothing of it is left, and the message names the file.
+    """
+    written = path.with_suffix(".writing")
+    with naming(path):
+        try:
+            with written.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            written.replace(path)
+        except OSError:
+            with suppress(OSError):  # what was half written would keep a full disk full
+                written.unlink(missing_ok=True)
+            raise
+        _flush_folder(path.parent)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Lets an error of the system say which file it is about: that of a full disk does not."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def _flush_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
+    """Writes a text file so that a reader sees either the old or the new one.
+
+    Args:
+        path: the file.
+        text: all of it.
+        durable: whether it must outlast a crash of the machine.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with naming(path), temporary.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError:
+        with suppress(OSError):  # what was half written would keep a full disk full
+            temporary.unlink(missing_ok=True)
+        raise

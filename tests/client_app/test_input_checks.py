@@ -1,0 +1,127 @@
+"""What a robot does not believe: it says so, names the value, and has learned nothing from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agent.networks.limits import WEIGHT_LIMIT
+from client_app.input_checks import CHANNEL_LIMIT_DB, RATE_LIMIT, check_told
+from client_app.robots import RobotGroup
+from conf import Config, robot_network
+from env.mdp import reward
+from env.seeding import Stream, stream
+from lockstep import UPDATE, Flag, Step, Want
+
+CELLS = 48
+ROBOTS = (3, 1)
+LEARNING = int(Flag.OUTCOME | Flag.DRIVING)
+
+
+def told(tick: int = 1, **changes: Any) -> Step:
+    """A step in which the second robot's record is changed."""
+    updates = np.zeros(2, UPDATE)
+    updates["flags"], updates["rate"] = LEARNING, 3.0
+    updates["channel_db"] = updates["outcome_channel_db"] = -70.0
+    for name, value in changes.items():
+        updates[name][1] = value
+    return Step(tick, 1, Want.ACTIONS, updates)
+
+
+@pytest.fixture
+def group(tiny: Callable[..., Config]) -> RobotGroup:
+    """Two robots that learn from their first transition on."""
+    config = tiny({"agent.learn_from": 1, "agent.batch_size": 1, "env.robots": 4})
+    first = robot_network(config).initial_weights(stream(0, Stream.WEIGHTS))
+    robots = RobotGroup(config, ROBOTS)
+    robots.download(0, np.stack([first, first]))
+    return robots
+
+
+@pytest.mark.parametrize(
+    ("change", "shown"),
+    [
+        ({"rate": np.nan}, "rate=nan"),
+        ({"rate": np.inf}, "rate=inf"),
+        ({"rate": -0.001}, "rate=-0.001"),
+        ({"rate": 1.001 * RATE_LIMIT}, "rate=1025.02"),
+        ({"cell": CELLS}, "cell=48"),
+        ({"cell": -1}, "cell=-1"),
+        ({"outcome_cell": 2**31 - 1}, r"outcome_cell=2\.14748e\+09"),
+        ({"outcome_cell": -CELLS}, "outcome_cell=-48"),
+        ({"channel_db": np.nan}, "channel_db=nan"),
+        ({"channel_db": np.float32(1e30)}, r"channel_db=1e\+30"),
+        ({"outcome_channel_db": -np.inf}, "outcome_channel_db=-inf"),
+    ],
+)
+def test_what_cannot_be_is_named_and_nothing_is_learned_from_it(
+    group: RobotGroup, change: dict[str, Any], shown: str
+) -> None:
+    group.step(told(0))
+    before = group.upload()
+    with pytest.raises(ValueError, match=rf"tick 7: robot 1 was told what cannot be .*{shown}[,)]"):
+        group.step(told(7, **change))
+    np.testing.assert_array_equal(group.upload(), before)
+    group.step(told(7))
+    assert (group.upload() != before).any()
+
+
+def test_what_is_extreme_but_possible_is_believed(group: RobotGroup) -> None:
+    for change in (
+        {"rate": 0.0},
+        {"rate": RATE_LIMIT},
+        {"cell": CELLS - 1, "outcome_cell": 0},
+        {"channel_db": -CHANNEL_LIMIT_DB, "outcome_channel_db": CHANNEL_LIMIT_DB},
+    ):
+        assert group.step(told(**change)) is not None
+
+
+def test_no_float64_makes_a_rate_or_a_channel_beyond_the_limits() -> None:
+    info = np.finfo(np.float64)
+    assert np.log2(info.max) <= RATE_LIMIT
+    assert (
+        10 * abs(np.log10(np.array([info.max, info.smallest_subnormal]))).max() < CHANNEL_LIMIT_DB
+    )
+
+
+def test_a_reward_that_is_not_finite_is_named(
+    group: RobotGroup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    group.step(told(0))
+    before = group.upload()
+
+    def broken(rate: NDArray[np.float64], *rest: Any) -> NDArray[np.float64]:
+        return np.where(np.arange(len(rate)) == 0, np.inf, reward.local_reward(rate, *rest))
+
+    monkeypatch.setattr(group._slice._rewards, "_local", broken)
+    with pytest.raises(ValueError, match="tick 5: the reward of robot 3 is inf"):
+        group.step(told(5))
+    np.testing.assert_array_equal(group.upload(), before)
+
+
+def test_only_a_reward_that_is_learned_from_counts(
+    group: RobotGroup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(group._slice._rewards, "_local", lambda rate, *_: np.array([0.5, np.nan]))
+    assert group.step(told(1, flags=0)) is not None
+
+
+@pytest.mark.parametrize(
+    ("bad", "shown"), [(np.nan, "nan"), (-np.inf, "inf"), (2 * WEIGHT_LIMIT, r"2e\+04")]
+)
+def test_an_absurd_model_is_named_and_not_taken(group: RobotGroup, bad: float, shown: str) -> None:
+    before = group.upload()
+    model = before[0].copy()
+    model[1, 7] = bad
+    with pytest.raises(ValueError, match=rf"window 9: the global model .* \({shown}\)"):
+        group.download(9, model)
+    np.testing.assert_array_equal(group.upload(), before)
+
+
+def test_each_robot_needs_a_record() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        check_told(0, (0, 1, 2), told().updates, CELLS)

@@ -1,0 +1,303 @@
+"""A run that died goes on from its last whole checkpoint, to the bits of one that did not."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import json
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conf.user_paths import resumed_folder
+from experiments.cli import main
+from storage.checkpoint_files import checkpoints
+from storage.checkpoint_layout import robot_windows, server_folder
+from training import checkpoint, resume, session
+
+FALLING = ("agent.learning_rate_end=0.001", "agent.learning_rate_updates=60")
+EVERY_OPTION = (
+    *FALLING,
+    "agent.updates=2",
+    "agent.n_step=3",
+    "agent.dueling=true",
+    "agent.double=true",
+    "agent.priority.alpha=0.6",
+)
+CHANGES = ("train.max_ticks=120", "state.every=3", "evaluation.every=1")
+
+
+def slow(*values: object) -> Any:
+    """A case that is like one of its neighbours: left to ``make test-all``."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+@pytest.fixture
+def train(tiny_overrides: list[str], tmp_path: Path) -> Callable[..., Path]:
+    """Trains the tiny fleet from the command line, into a folder of this name."""
+
+    def run(name: str, *changes: str) -> Path:
+        folder = tmp_path / name
+        assert main(["train", *tiny_overrides, *CHANGES, *changes, f"run.dir={folder}"]) == 0
+        return folder
+
+    return run
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """A CSV file's rows without the clocks."""
+    with path.open() as file:
+        return [{k: v for k, v in row.items() if k != "cpu_s"} for row in csv.DictReader(file)]
+
+
+def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
+    """Lets a run fail before the server writes its checkpoint of a window."""
+    save = session.save_server
+
+    def fatal(writer, state, at, *rest):
+        if at == window:
+            raise OSError("the machine is gone")
+        save(writer, state, at, *rest)
+
+    monkeypatch.setattr(session, "save_server", fatal)
+
+
+@pytest.mark.parametrize(
+    ("fading", "strategy"),
+    [
+        ("slot", "fedavg"),
+        ("static", "fedavgm"),
+        ("static", "fedadam"),
+        ("static", "none"),
+        ("static", "fedprox"),
+        slow("static", "fedavg"),
+        slow("slot", "fedavgm"),
+        slow("slot", "fedadam"),
+        slow("slot", "none"),
+        slow("slot", "fedprox"),
+    ],
+)
+def test_a_run_that_died_ends_in_the_same_bits(
+    train, fading, strategy, tmp_path, tiny_overrides, monkeypatch
+) -> None:
+    changes = [f"strategy={strategy}", f"env.channel.fading={fading}"]
+    if strategy == "fedprox":
+        changes.append("strategy.proximal_mu=0.1")
+    whole = train("whole", *changes)
+    folder = tmp_path / "died"
+    with monkeypatch.context() as patch:
+        die_at(patch, 9)
+        given = ["train", *tiny_overrides, *CHANGES, *changes, f"run.dir={folder}"]
+        assert main(given) == 1
+    assert checkpoints(server_folder(folder / "state")) == [3, 6]
+    assert main(["train", f"resume={folder}"]) == 0
+    assert summary(folder)["digest"] == summary(whole)["digest"]
+    for name in ("metrics.csv", "evaluations.csv"):
+        assert rows(folder / name) == rows(whole / name)
+    for key in ("ticks", "windows", "episodes", "evaluation"):
+        assert summary(folder)[key] == summary(whole)[key]
+
+
+def test_a_run_that_has_ended_can_be_made_longer(train) -> None:
+    whole, short = train("whole"), train("short", "train.max_ticks=70")
+    assert main(["train", f"resume={short}", "train.max_ticks=120"]) == 0
+    assert summary(short)["digest"] == summary(whole)["digest"]
+
+
+def test_a_torn_checkpoint_leaves_the_one_before_it(train, tmp_path) -> None:
+    whole, folder = train("whole"), train("torn")
+    state = folder / "state"
+    newest = max(robot_windows(state, 1))
+    path = robot_windows(state, 1)[newest] / f"checkpoint-{newest:012d}.safetensors"
+    path.write_bytes(path.read_bytes()[:-7])
+    (folder / "summary.json").unlink()
+    assert checkpoint.latest(state, 3).window < newest
+    assert main(["train", f"resume={folder}"]) == 0
+    assert summary(folder)["digest"] == summary(whole)["digest"]
+
+
+def test_a_run_may_be_moved(train, tmp_path) -> None:
+    whole, folder = train("whole"), train("short", "train.max_ticks=60")
+    shutil.move(folder, tmp_path / "elsewhere")
+    assert main(["train", f"resume={tmp_path / 'elsewhere'}", "train.max_ticks=120"]) == 0
+    assert summary(tmp_path / "elsewhere")["digest"] == summary(whole)["digest"]
+    assert not folder.exists()
+
+
+def test_a_killed_process_can_be_resumed(train, tiny_overrides, tmp_path) -> None:
+    length = ("train.max_ticks=3000", "train.episodes=1000000", "state.every=5")
+    whole = train("whole", *length)
+    folder = tmp_path / "killed"
+    command = [sys.executable, "-m", "experiments.cli", "train", *tiny_overrides, *CHANGES]
+    process = subprocess.Popen(
+        [*command, *length, f"run.dir={folder}"],
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 120
+    while len(checkpoints(server_folder(folder / "state"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (folder / "summary.json").exists()
+    assert main(["train", f"resume={folder}"]) == 0
+    assert summary(folder)["digest"] == summary(whole)["digest"]
+
+
+def test_what_cannot_be_resumed_is_refused_in_a_sentence(train, tmp_path, capsys) -> None:
+    folder = train("ended")
+    assert main(["train", f"resume={folder}"]) == 2
+    assert "the run has ended" in capsys.readouterr().err
+    assert main(["train", f"resume={folder}", "seed=3"]) == 2
+    assert "seed=3: allowed beside resume are train.episodes" in capsys.readouterr().err
+    assert main(["train", f"resume={folder}", "train.episodes=many"]) == 2
+    assert "allowed is a whole number" in capsys.readouterr().err
+    assert main(["train", "-m", f"resume={folder}", "train.max_ticks=500,600"]) == 2
+    assert "without -m" in capsys.readouterr().err
+    assert main(["train", f"resume={tmp_path / 'nowhere'}"]) == 2
+    assert "allowed is the folder of a run" in capsys.readouterr().err
+    shutil.rmtree(folder / "state" / "robot-02")
+    assert main(["train", f"resume={folder}", "train.max_ticks=500"]) == 2
+    assert "holds no checkpoint that the server and all 3 robots have" in capsys.readouterr().err
+
+
+def test_a_run_of_another_version_is_refused(train, monkeypatch, capsys) -> None:
+    folder = train("old")
+    monkeypatch.setattr("training.resume.fingerprint", lambda env: "another")
+    assert main(["train", f"resume={folder}", "train.max_ticks=500"]) == 2
+    assert "allowed is a run of this version" in capsys.readouterr().err
+
+
+def test_without_checkpoints_none_are_written(train) -> None:
+    folder = train("bare", "state.every=null")
+    assert not (folder / "state").exists()
+
+
+def test_a_run_that_died_after_its_last_window_is_finished_without_playing(train) -> None:
+    for strategy in ("fedavg", "none"):
+        folder = train(strategy, f"strategy={strategy}")
+        before = summary(folder)
+        (folder / "summary.json").unlink()
+        (folder / "weights.safetensors").unlink()
+        assert main(["train", f"resume={folder}"]) == 0
+        for key in ("digest", "ticks", "evaluation"):
+            assert summary(folder)[key] == before[key]
+        assert (folder / "weights.safetensors").exists()
+
+
+def test_robots_a_write_ahead_of_the_server_leave_a_checkpoint_that_all_have(
+    train, tiny_overrides, tmp_path, monkeypatch
+) -> None:
+    """The server's disk stalls from window 6 on, until the run dies at window 12."""
+    whole, folder = train("whole"), tmp_path / "stalled"
+
+    def stalled(writer, state, window, *rest):
+        if window >= 9:
+            raise OSError("the machine is gone")
+        if window == 3:
+            save(writer, state, window, *rest)
+
+    save = session.save_server
+    with monkeypatch.context() as patch:
+        patch.setattr(session, "save_server", stalled)
+        given = ["train", *tiny_overrides, *CHANGES, f"run.dir={folder}"]
+        assert main(given) == 1
+    assert sorted(robot_windows(folder / "state", 0)) == [3, 6, 9]
+    assert main(["train", f"resume={folder}"]) == 0
+    assert summary(folder)["digest"] == summary(whole)["digest"]
+
+
+def test_files_that_lack_rows_are_refused_before_anything_is_written(train, capsys) -> None:
+    folder = train("ended")
+    text = (folder / "metrics.csv").read_text()
+    (folder / "metrics.csv").write_text(text.splitlines()[0] + "\n")
+    before = (folder / "config.yaml").read_text()
+    assert main(["train", f"resume={folder}", "train.max_ticks=500"]) == 2
+    assert "metrics.csv has 0 rows" in capsys.readouterr().err
+    assert (folder / "config.yaml").read_text() == before
+
+
+def test_files_that_an_editor_saved_in_its_own_way_go_on_to_the_same_bits(train) -> None:
+    whole, folder = train("whole"), train("edited", "train.max_ticks=60")
+    for name in ("config.yaml", "metrics.csv", "evaluations.csv", "summary.json"):
+        text = (folder / name).read_text(encoding="utf-8")
+        (folder / name).write_text(text, encoding="utf-8-sig", newline="\r\n")
+    assert main(["train", f"resume={folder}", "train.max_ticks=120"]) == 0
+    assert summary(folder)["digest"] == summary(whole)["digest"]
+    assert rows(folder / "metrics.csv") == rows(whole / "metrics.csv")
+
+
+def test_a_configuration_in_utf_16_is_named(train, capsys) -> None:
+    folder = train("ended")
+    path = folder / "config.yaml"
+    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-16")
+    assert main(["train", f"resume={folder}", "train.max_ticks=500"]) == 2
+    said = "config.yaml cannot be read: it is in UTF-16: save it as UTF-8.\n"
+    assert capsys.readouterr().err.endswith(said)
+
+
+def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
+    folder = train("ended")
+    handle = os.open(folder, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        assert main(["train", f"resume={folder}", "train.max_ticks=500"]) == 2
+    finally:
+        os.close(handle)
+    assert "a folder in which no run is going on" in capsys.readouterr().err
+    assert summary(folder)["ticks"] == 120
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]"],
+        slow(["env.collisions=block", "env.walls.block_motion=true", "env.reward.distance=way"]),
+        ["strategy=krum", "env.access=oma", "env.metric=qoe"],
+        slow(["baseline=centralized", "env.robots=2"]),
+        slow(["baseline=branching"]),
+        ["baseline=branching", "scheme.heads=shared", "agent.double=true"],
+        slow(["baseline=random_phase"]),
+        ["baseline=oracle_phase", "env.channel.fading=slot"],
+        slow(["strategy=fedmedian"]),
+        ["strategy=fedadam", *EVERY_OPTION],
+        ["strategy=fedavgm"],
+        ["baseline=centralized", "env.robots=2", *EVERY_OPTION],
+        slow(["baseline=branching", "agent.updates=2", *FALLING]),
+    ],
+)
+def test_other_worlds_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:
+    whole, short = train("whole", *changes), train("short", *changes, "train.max_ticks=60")
+    assert main(["train", f"resume={short}", "train.max_ticks=120"]) == 0
+    assert summary(short)["digest"] == summary(whole)["digest"]
+
+
+def test_a_full_disk_ends_a_run_with_a_sentence(tiny_overrides, tmp_path, monkeypatch, capsys):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("storage.checkpoint_files.os.fsync", full)
+    given = ["train", *tiny_overrides, *CHANGES, f"run.dir={tmp_path / 'full'}"]
+    assert main(given) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"risfleet: No space left on device: {tmp_path / 'full'}")
+
+
+@pytest.mark.parametrize("folder", ["/tmp/my run", "/tmp/it's", "/tmp/lr=0.1 $HOME", "/tmp/plain"])
+def test_how_to_go_on_can_be_pasted_into_a_shell(folder: str) -> None:
+    command = shlex.split(resume.how(Path(folder)))
+    assert command[:2] == ["risfleet", "train"]
+    assert resumed_folder(command[2]) == Path(folder)

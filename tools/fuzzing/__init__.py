@@ -1,0 +1,1 @@
+"""Fuzzers that coverage guides."""

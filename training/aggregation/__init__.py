@@ -1,0 +1,1 @@
+"""Federated aggregation: Flower's strategies over rows of weights."""

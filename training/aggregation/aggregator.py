@@ -1,0 +1,183 @@
+"""Federated aggregation: one call into a Flower ``Strategy`` per window, the same in every runtime.
+
+The weights have travelled already, in Flower messages or over the link. What happens here is
+Flower's server side of one round, within this process: ``configure_train`` addresses K virtual
+nodes, node k answers with robot k's weights, and ``aggregate_train`` takes the replies in the order
+of the robots, however they arrived.
+
+Flower's mean is sum_k w_k x_k with w_k = n_k / sum_j n_j, added in the order of the replies.
+Robots count alike (n_k = 1, so w_k = 1/K). In float32 equal uploads would come back changed, by
+up to 1 ulp for 3 robots and 9 for 33 (measured), since 1/K and each partial sum are rounded. So
+weights go in as float64, which holds each float32 exactly, and results are rounded to float32 once:
+equal uploads come back bit for bit, and any other mean is a float32 nearest to the exact one (of
+two as near, either). Krum's squared distances, ||x||^2 + ||y||^2 - 2xy, need float64 too: robots
+differ by little beside their norms.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from flwr.app import Array, ArrayRecord
+from flwr.serverapp.strategy import FedAvg
+
+from agent.networks.limits import WEIGHT_LIMIT, magnitude
+from training.aggregation.flower_round import (
+    Weights,
+    client_config,
+    configure,
+    one_round,
+    within_flower,
+)
+
+ONLINE, TARGET = slice(0, 1), slice(1, 2)
+"""The rows of a robot's weights, shape (2, P)."""
+
+
+class Scope(Enum):
+    """What a strategy is applied to."""
+
+    PAIR = "pair"
+    """Online and target weights together: means, element-wise rules, selection rules."""
+    ONLINE = "online"
+    """Online weights; targets take the plain mean: server optimisers (momentum, Adam)."""
+
+
+class Aggregator:
+    """A Flower strategy, applied to the weights of all robots once per window.
+
+    Uploads are ordered by robot, so the order in which they arrived cannot matter. No call changes
+    the state of a global random generator or lets Flower log anything below an error.
+    """
+
+    def __init__(self, strategy: FedAvg, robots: int, *, scope: Scope = Scope.PAIR) -> None:
+        """Takes a strategy over.
+
+        Args:
+            strategy: a fresh strategy. It is the aggregator's from here on, and all robots take
+                part in each window: its sampling settings are overwritten.
+            robots: K, at least 1.
+            scope: what the strategy is applied to.
+        """
+        if robots < 1:
+            raise ValueError(f"{robots} robots: at least 1 is needed")
+        self._strategy = strategy
+        self._robots = robots
+        self._parts: list[tuple[FedAvg, slice]] = [(strategy, slice(None))]
+        if scope is Scope.ONLINE:
+            self._parts = [(strategy, ONLINE), (FedAvg(), TARGET)]
+        for part, _ in self._parts:
+            part.fraction_train = 1.0
+            part.min_train_nodes = part.min_available_nodes = robots
+        with within_flower():
+            told = configure(strategy, 1, ArrayRecord(), robots)
+        self.restore({})
+        self._client_config = client_config(told)
+
+    @property
+    def client_config(self) -> dict[str, float]:
+        """What the strategy tells the clients, such as ``{"proximal-mu": 0.01}``."""
+        return dict(self._client_config)
+
+    def aggregate(self, window: int, current: Weights, uploads: Weights) -> Weights:
+        """Aggregates one window.
+
+        Args:
+            window: the window's number, from 1 over the whole run (FedAdam reads it).
+            current: what all robots started the window from, shape (2, P): online, target.
+            uploads: what the robots have now, shape (K, 2, P), row k for robot k.
+
+        Returns:
+            The weights that every robot takes, float32, shape (2, P), owned by the caller.
+
+        Raises:
+            ValueError: a shape or the window is wrong, or an upload is not finite or beyond
+                ``WEIGHT_LIMIT``; the message names the robot and the value.
+            ArithmeticError: the strategy's result is not finite in float32.
+        """
+        self._check(window, current, uploads)
+        with within_flower():
+            results = [
+                one_round(part, window, current[rows], uploads[:, rows])
+                for part, rows in self._parts
+            ]
+        with np.errstate(over="ignore"):
+            combined = np.concatenate(results).astype(np.float32)
+        if not np.isfinite(combined).all():
+            name = type(self._strategy).__name__
+            raise ArithmeticError(f"{name} gave weights that are not finite in window {window}")
+        return combined
+
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """What the strategy keeps between windows, as copies; empty where it keeps nothing."""
+        kept: dict[str, npt.NDArray[Any]] = {}
+        for attribute in _KEPT:
+            kept.update(_pack(attribute, getattr(self._strategy, attribute, None)))
+        return kept
+
+    def restore(self, state: dict[str, npt.NDArray[Any]]) -> None:
+        """Puts back what ``state`` gave, exactly; ``{}`` is a fresh strategy.
+
+        Raises:
+            ValueError: the state is another strategy's.
+        """
+        attributes = [name for name in _KEPT if hasattr(self._strategy, name)]
+        foreign = [key for key in state if key.split("/")[0] not in attributes]
+        if foreign:
+            name = type(self._strategy).__name__
+            raise ValueError(f"{name} keeps no {', '.join(sorted(foreign))}: wrong strategy state")
+        for attribute in attributes:
+            setattr(self._strategy, attribute, _unpack(attribute, state))
+
+    def _check(self, window: int, current: Weights, uploads: Weights) -> None:
+        if window < 1:
+            raise ValueError(f"window {window}: windows are numbered from 1")
+        expected = (self._robots, *current.shape)
+        if current.ndim != 2 or current.shape[0] != 2 or uploads.shape != expected:
+            raise ValueError(
+                f"weights of shape {current.shape} and uploads of shape {uploads.shape}:"
+                f" (2, P) and ({self._robots}, 2, P) are expected"
+            )
+        largest = [magnitude(upload) for upload in uploads]
+        if absurd := [k for k, value in enumerate(largest) if not value <= WEIGHT_LIMIT]:
+            named = ", ".join(f"robot {robot} ({largest[robot]:.3g})" for robot in absurd)
+            raise ValueError(
+                f"window {window}: absurd weights from {named}, of robots 0 to {self._robots - 1}:"
+                f" finite ones of at most {WEIGHT_LIMIT:g} are taken"
+            )
+
+
+# --- What a strategy keeps ------------------------------------------------------------------------
+
+_KEPT = ("current_arrays", "momentum_vector", "m_t", "v_t")
+"""Flower's attributes: FedAvgM has the first two, FedAdam and its kin all but the second."""
+
+
+def _pack(attribute: str, value: Any) -> dict[str, npt.NDArray[Any]]:
+    """Flattens a record, dict or list of arrays to ``attribute/kind/key``; None to nothing."""
+    if isinstance(value, ArrayRecord):
+        return {f"{attribute}/record/{key}": array.numpy() for key, array in value.items()}
+    if isinstance(value, dict):
+        return {f"{attribute}/dict/{key}": array.copy() for key, array in value.items()}
+    if isinstance(value, list):
+        return {f"{attribute}/list/{i}": array.copy() for i, array in enumerate(value)}
+    return {}
+
+
+def _unpack(attribute: str, state: dict[str, npt.NDArray[Any]]) -> Any:
+    """The inverse of ``_pack``; None where the state has nothing for the attribute."""
+    found = {}
+    kind = ""
+    for key, array in state.items():
+        name, kind_of_key, item = key.split("/")
+        if name == attribute:
+            found[item] = array.copy()
+            kind = kind_of_key
+    if kind == "record":
+        return ArrayRecord({item: Array(array) for item, array in found.items()})
+    if kind == "list":
+        return [found[str(i)] for i in range(len(found))]
+    return found or None

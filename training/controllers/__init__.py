@@ -1,0 +1,1 @@
+"""Who steers the RIS, and frozen policies."""

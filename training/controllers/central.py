@@ -1,0 +1,174 @@
+"""One agent for everything: it sets the phases, and the robots do what it says.
+
+It is the coordinator's access point, and the fleet is a row of robots without networks (their
+weights have P = 0) that wait for its orders. So the order of a tick, the measures, the checkpoints
+and the bits of the world are those of F-DRL.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import DQN, NO_ACTION, BranchingDQN, epsilon_at
+from conf import Config, central_heads
+from env.mdp.actions import ActionSpace
+from env.world import Outcome
+from lockstep import Flag, Want
+from training.controllers.access_point import NetworkAgent
+
+DRIVING = np.uint16(Flag.DRIVING)
+
+
+class CommandedFleet:
+    """A ``Fleet`` of robots without networks, which do what they are told.
+
+    Args:
+        robots: K.
+
+    Attributes:
+        driving: which robots are driving, shape (K,).
+        orders: their next actions, int32, shape (K,), -1 where one is not driving.
+    """
+
+    def __init__(self, robots: int) -> None:
+        self.driving = np.zeros(robots, dtype=bool)
+        self.orders = np.full(robots, NO_ACTION, np.int32)
+
+    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
+        """See ``Fleet.tell``."""
+        self.driving = (updates["flags"] & DRIVING) != 0
+
+    def actions(self, tick: int) -> NDArray[np.int32]:
+        """See ``Fleet.actions``."""
+        return self.orders
+
+    def upload(self, window: int) -> NDArray[np.float32]:
+        """See ``Fleet.upload``: robots without weights."""
+        return np.zeros((len(self.orders), 2, 0), np.float32)
+
+    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+        """See ``Fleet.download``: there is no global model."""
+
+    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+        """See ``Fleet.begin``: the robots hold nothing that they would have to go back to."""
+
+    def close(self) -> None:
+        """See ``Fleet.close``."""
+
+
+class CentralAgent(NetworkAgent):
+    """A ``PhaseAgent`` that commands the robots, too.
+
+    Args:
+        config: the run's configuration.
+
+    Attributes:
+        fleet: the robots.
+    """
+
+    def __init__(self, config: Config) -> None:
+        super().__init__(config)
+        self.fleet = CommandedFleet(config.env.robots)
+
+    @abstractmethod
+    def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
+        """The phase action, and actions of the robots, shape (K,), of any value if not driving."""
+
+    @abstractmethod
+    def learn(
+        self,
+        state: NDArray[np.float32],
+        action: NDArray[np.int64],
+        outcome: Outcome,
+        following: NDArray[np.float32],
+    ) -> None:
+        """See ``PhaseAgent.learn``."""
+
+    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
+        """See ``PhaseAgent.act``: decides for the robots, too."""
+        phase, orders = self._decide(state, epsilon_at(self._epsilon, tick))
+        self.fleet.orders = np.where(self.fleet.driving, orders, NO_ACTION).astype(np.int32)
+        return np.array([phase])
+
+
+class JointAgent(CentralAgent):
+    """Baseline 1: one DQN over the joint actions, N_R^N (4 N_P)^K of them.
+
+    Its reward is sum_k r_{L,k} + r_G / 10. The part of a robot that has arrived has no effect.
+    """
+
+    agent: DQN
+
+    def _new_agent(self, generator: np.random.Generator) -> DQN:
+        discount = self._config.agent.discount.robot
+        return DQN(self.shape, self._config.agent, discount, [generator])
+
+    def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
+        env = self._config.env
+        self._joint = self.agent.act(state, epsilon, np.ones(1, dtype=bool))
+        space = ActionSpace.from_config(env)
+        phase, orders = space.joint_decode(self._joint.astype(np.int64), env.robots)
+        return int(phase[0]), orders[0].astype(np.int32)
+
+    def learn(
+        self,
+        state: NDArray[np.float32],
+        action: NDArray[np.int64],
+        outcome: Outcome,
+        following: NDArray[np.float32],
+    ) -> None:
+        """See ``PhaseAgent.learn``."""
+        reward = joint_reward(outcome, self._config.scheme.global_share)
+        always = np.ones(1, dtype=bool)
+        self.agent.learn(state, self._joint, reward, following, outcome.terminated, always)
+
+
+class BranchingAgent(CentralAgent):
+    """One network with a head for the RIS and one for each robot.
+
+    With ``scheme.heads=own`` each head learns what the agent in whose place it stands would: the
+    RIS's from r_G, a robot's from its r_L. With ``shared`` all learn from Baseline 1's reward. The
+    head of a robot that has arrived decides and learns nothing.
+    """
+
+    agent: BranchingDQN
+
+    def _new_agent(self, generator: np.random.Generator) -> BranchingDQN:
+        heads = central_heads(self._config)
+        return BranchingDQN(self.shape, heads, self._config.agent, generator)
+
+    def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
+        active = np.concatenate([[True], self.fleet.driving])
+        self._parts = self.agent.choose(state[0], epsilon, active)
+        return int(self._parts[0]), self._parts[1:]
+
+    def learn(
+        self,
+        state: NDArray[np.float32],
+        action: NDArray[np.int64],
+        outcome: Outcome,
+        following: NDArray[np.float32],
+    ) -> None:
+        """See ``PhaseAgent.learn``."""
+        rewards = np.concatenate([outcome.global_reward, outcome.local_reward[0]])
+        if self.agent.heads.shared:
+            rewards[:] = joint_reward(outcome, self._config.scheme.global_share)
+        active = np.concatenate([[True], outcome.drove[0]])
+        ended = np.concatenate([outcome.terminated, outcome.arrived[0]])
+        self.agent.learn(state[0], self._parts, rewards, following[0], ended, active)
+
+
+def joint_reward(outcome: Outcome, global_share: float) -> NDArray[np.float64]:
+    """Baseline 1's reward, sum_k r_{L,k} + r_G / 10.
+
+    Args:
+        outcome: of B worlds.
+        global_share: of r_G, the paper's 1 / 10.
+
+    Returns:
+        The reward, shape (B,).
+    """
+    return np.asarray(outcome.local_reward.sum(axis=-1) + global_share * outcome.global_reward)

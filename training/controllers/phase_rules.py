@@ -1,0 +1,94 @@
+"""Access points that learn nothing: a random phase, the best fixed one, the best of each slot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conf import Config
+from env.mdp.reward import metric
+from env.oracles import per_slot
+from env.seeding import Stream, stream
+from env.world import Outcome, World
+from storage.generators import generator_state, restore_generator
+
+PLACEMENTS = 2000
+"""Random placements of the robots over which the best fixed phase is the best on average."""
+
+
+def fixed_phase(world: World, map_seed: int) -> int:
+    """The phase action with the largest mean sum of the metric over the floor.
+
+    The mean is over random placements of K robots on the drivable floor, all driving, with
+    canonical powers: what can be known of a map without any task on it.
+
+    Args:
+        world: for its tables; not changed.
+        map_seed: the placements are the map's.
+
+    Returns:
+        The action; of equal ones the lowest.
+    """
+    generator = stream(map_seed, Stream.RADIO_MAP, 2)
+    cells = np.flatnonzero(world.floor.drivable())
+    cell = generator.choice(cells, size=(PLACEMENTS, world.robots))
+    everyone = np.ones(cell.shape, dtype=bool)
+
+    def mean(phase: int) -> float:
+        gain = world.radio_map.gain(cell, np.full(PLACEMENTS, phase))
+        level = per_slot.canonical_levels(gain, everyone, world.config.power.levels)
+        rate = world.downlink.allocate(gain, level, everyone).rate
+        return float(metric(rate, world.config).sum(axis=-1).mean())
+
+    return int(np.argmax([mean(phase) for phase in range(world.phase_actions)]))
+
+
+class PhaseRule:
+    """An access point with a rule in the place of its DQN: it has no weights and learns nothing.
+
+    Args:
+        config: the run's configuration; ``scheme.phase`` is random, fixed or oracle.
+        world: whose RIS it steers.
+    """
+
+    def __init__(self, config: Config, world: World) -> None:
+        self._rule, self._actions = config.scheme.phase, world.phase_actions
+        self._generator = stream(config.seed, Stream.AP)
+        fixed = fixed_phase(world, config.env.map_seed) if self._rule == "fixed" else 0
+        self._fixed = np.array([fixed])
+
+    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
+        """See ``PhaseAgent.act``."""
+        if self._rule == "random":
+            return self._generator.integers(self._actions, size=1)
+        return self._fixed
+
+    def settle(
+        self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """See ``PhaseAgent.settle``: the oracle's is the best for the robots' picks."""
+        return per_slot.best_phase(world, level) if self._rule == "oracle" else phase
+
+    def learn(
+        self,
+        state: NDArray[np.float32],
+        action: NDArray[np.int64],
+        outcome: Outcome,
+        following: NDArray[np.float32],
+    ) -> None:
+        """See ``PhaseAgent.learn``."""
+
+    def weights(self) -> NDArray[np.float32]:
+        """See ``PhaseAgent.weights``: none."""
+        return np.zeros((2, 0), np.float32)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """See ``PhaseAgent.state``."""
+        return {"generator": generator_state(self._generator)}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """See ``PhaseAgent.restore``."""
+        restore_generator(self._generator, state["generator"])

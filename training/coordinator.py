@@ -1,0 +1,224 @@
+"""The coordinator: drives the access point, the world and the robots, tick by tick (Algorithm 1).
+
+It knows no runtime. The robots are a ``Fleet``: calls within the process, or a link and Flower
+messages; the order of events, and so every bit of every weight, is the same.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conf import Config
+from env.episode import EpisodeTally
+from env.world import Outcome, World
+from lockstep import UPDATE, Flag, Fleet, Want
+from storage.generators import generator_state, restore_generator
+from training.aggregation.aggregator import Aggregator
+from training.checkpoint import flat, part
+from training.controllers.access_point import PhaseAgent
+from training.recording.progress import Observer, Progress
+
+# As NumPy's own numbers: it would look for attributes on an enum's member at every use.
+OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARRIVED, Flag.DRIVING))
+
+
+class Coordinator:
+    """One run.
+
+    Args:
+        config: the run's configuration.
+        world: a single world.
+        ap: who steers the RIS.
+        fleet: the robots.
+        aggregator: the strategy, or None for independent learners.
+        observer: told of episodes and windows.
+        stop: asked at every window boundary whether to end the run there.
+        keep: told at every window boundary, after all else, and whether it is the last.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        world: World,
+        ap: PhaseAgent,
+        fleet: Fleet,
+        aggregator: Aggregator | None,
+        observer: Observer,
+        stop: Callable[[], bool] = lambda: False,
+        keep: Callable[[bool], None] = lambda final: None,
+    ) -> None:
+        self._config = config
+        self._world, self._ap, self._fleet = world, ap, fleet
+        self._aggregator = aggregator
+        self._observer = observer
+        self._stop, self._keep = stop, keep
+        self._model: NDArray[np.float32] | None = None
+        self._shared: NDArray[np.float32] = np.zeros((0, 2, 0), np.float32)
+        self.progress = Progress()
+        self.stopped = self._started = False
+        self.waited_s = 0.0
+
+    def run(
+        self, initial: NDArray[np.float32], resumed: Mapping[str, NDArray[Any]] | None = None
+    ) -> NDArray[np.float32]:
+        """Trains until the window boundary after the last episode or tick.
+
+        Args:
+            initial: online and target weights that all robots hold at the run's very beginning,
+                shape (2, P).
+            resumed: the ``state`` that the run goes on from; the robots hold that window's.
+
+        Returns:
+            The robots' weights after the last aggregation, shape (K, 2, P).
+        """
+        model, final = initial, False
+        self._world.reset()
+        self._tally = EpisodeTally(self._world)
+        if resumed is not None:
+            self._restore(resumed)
+            model = initial if self._model is None else self._model
+            final = self._is_over()  # it died after its last window
+        self._state = self._world.global_observation()
+        while not final:
+            self.progress.window += 1
+            window = self.progress.window
+            final = self._play_window(window)
+            self._shared = self._fleet.upload(window)
+            if self._aggregator is not None:
+                model = self._aggregator.aggregate(window, model, self._shared)
+                self._model, self._shared = model, model[None]
+                if not final:
+                    self._fleet.download(window, model)
+            self._observer.on_window(self.progress, self._shared, self._ap.weights())
+            self._keep(final)
+        return np.array(np.broadcast_to(self._shared, (self._world.robots, *model.shape)))
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All of the server's side that the run needs to go on from a window boundary."""
+        counters = [getattr(self.progress, field.name) for field in fields(Progress)]
+        run = {"progress": np.array(counters), "stream": generator_state(self._world.generator)}
+        if self._model is not None:
+            run["model"] = self._model
+        else:
+            run["robots"] = self._shared
+        return flat(
+            {
+                "run": run,
+                "world": self._world.state(),
+                "tally": self._tally.state(),
+                "ap": self._ap.state(),
+                "strategy": {} if self._aggregator is None else self._aggregator.state(),
+            }
+        )
+
+    def _restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Takes back what ``state`` gave."""
+        run = part(state, "run")
+        self.progress = Progress(*(int(count) for count in run["progress"]))
+        self._model = run.get("model")
+        self._shared = run["robots"] if self._model is None else self._model[None]
+        restore_generator(self._world.generator, run["stream"])
+        self._world.restore(part(state, "world"))
+        self._tally.restore(part(state, "tally"))
+        self._ap.restore(part(state, "ap"))
+        if self._aggregator is not None:
+            self._aggregator.restore(part(state, "strategy"))
+
+    def _play_window(self, window: int) -> bool:
+        """Plays the ticks of a window; returns whether the run ends with it."""
+        updates = self._updates()
+        self._observe_into(updates)
+        self._fleet.tell(self.progress.tick, window, Want.ACTIONS, updates)
+        if not self._started:
+            self._observer.on_start()
+            self._started = True
+        for left in reversed(range(self._config.federation.every)):
+            chosen = self._ap.act(self._state, self.progress.tick)
+            direction, level = self._robots_actions()
+            phase = self._ap.settle(self._world, chosen.astype(np.int64), level)
+            outcome = self._world.step(phase, direction, level)
+            self.progress.tick += 1
+            want = self._pass_on(window, phase, outcome, last=left == 0)
+        return want is Want.FAREWELL
+
+    def _robots_actions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Waits for the robots' actions, checked: directions and power levels, (1, K) each."""
+        began = time.perf_counter()
+        chosen = self._fleet.actions(self.progress.tick).astype(np.int64)
+        self.waited_s += time.perf_counter() - began
+        space = self._world.scenario.actions
+        most = space.count - 1
+        for robot, action in enumerate(chosen.tolist()):
+            if not -1 <= action <= most:
+                raise ValueError(
+                    f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
+                )
+        return space.decode(chosen[None])
+
+    def _pass_on(
+        self, window: int, phase: NDArray[np.int64], outcome: Outcome, *, last: bool
+    ) -> Want:
+        """Tells the robots what their actions brought, and learns from it while they do.
+
+        Returns:
+            What the robots were asked for.
+        """
+        updates, seen = self._updates(outcome), self._state
+        following, ended = None, outcome.terminated[0] or outcome.truncated[0]
+        if ended:  # what is counted and seen of this episode comes before the next one begins
+            following = self._count(outcome)
+            self._end_episode()
+        self._observe_into(updates)
+        want = Want.ACTIONS
+        if last:
+            want = Want.FAREWELL if self._is_over() else Want.WEIGHTS
+        self._fleet.tell(self.progress.tick, window, want, updates)
+        if following is None:
+            following = self._count(outcome)
+        self._state = self._world.global_observation() if ended else following
+        self._ap.learn(seen, phase, outcome, following)
+        return want
+
+    def _count(self, outcome: Outcome) -> NDArray[np.float32]:
+        """Adds up what a slot brought; returns the access point's state that it led to."""
+        self._tally.add(outcome)
+        return self._world.global_observation()
+
+    def _end_episode(self) -> None:
+        self.progress.episodes += 1
+        self._observer.on_episode(self.progress, self._tally.measures())
+        self._world.reset()
+        self._tally = EpisodeTally(self._world)
+
+    def _is_over(self) -> bool:
+        train = self._config.train
+        if self._stop():
+            self.stopped = True
+        enough = self.progress.episodes >= train.episodes
+        late = train.max_ticks is not None and self.progress.tick >= train.max_ticks
+        return enough or late or self.stopped
+
+    def _updates(self, outcome: Outcome | None = None) -> np.ndarray:
+        """The robots' records, so far with what an outcome told them, if there is one."""
+        world = self._world
+        updates = np.zeros(world.robots, dtype=UPDATE)
+        if outcome is not None:
+            updates["flags"] = outcome.drove[0] * OUTCOME
+            updates["flags"] |= outcome.arrived[0] * ARRIVED
+            updates["outcome_cell"] = world.cell[0]
+            updates["outcome_channel_db"] = world.measured_db[0]
+            updates["rate"] = outcome.rate[0]
+        return updates
+
+    def _observe_into(self, updates: np.ndarray) -> None:
+        """Adds what each robot observes now, after a reset where an episode has just ended."""
+        world = self._world
+        updates["flags"] |= world.driving[0] * DRIVING
+        updates["cell"] = world.cell[0]
+        updates["channel_db"] = world.measured_db[0]

@@ -1,0 +1,114 @@
+"""Figures of a single run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from conf import Config
+from env.rendering.drawing import trajectory_figure
+from training.evaluation import Evaluator, trajectories
+from training.recording.history import History
+
+SMOOTHING = 10
+DRAWN_EPISODES = 3
+DPI = 130
+
+
+def save_figures(
+    folder: Path,
+    config: Config,
+    evaluator: Evaluator,
+    robots: NDArray[np.float32],
+    ap: NDArray[np.float32],
+    history: History,
+) -> None:
+    """Draws how a run learned, and the ways that its final policy drives.
+
+    Args:
+        folder: where to; made if it is missing.
+        config: of the run.
+        evaluator: of the run.
+        robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
+        ap: online weights of the access point, shape (P_AP,).
+        history: of the run.
+    """
+    folder.mkdir(exist_ok=True)
+    learning_curve(
+        [row["reward"] for row in history.episodes],
+        [row["success"] for row in history.episodes],
+        [int(row["episode"]) for row in history.evaluations],
+        [row["success"] for row in history.evaluations],
+        config.evaluation.epsilon,
+    ).savefig(folder / "learning_curve.png", dpi=DPI)
+    trace: list[NDArray[np.int64]] = []
+    evaluator.play(robots, ap, (0.0,), trace)
+    world = evaluator.world
+    centres = world.floor.centres()
+    ways = trajectories(trace, centres)[:, :DRAWN_EPISODES]
+    trajectory_figure(
+        config.env,
+        world.radio_map,
+        ways,
+        centres[world.destinations],
+        [f"held-out start {index + 1}, greedy" for index in range(ways.shape[1])],
+    ).savefig(folder / "trajectories.png", dpi=DPI)
+
+
+def running_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """Mean over the last ``width`` values, over fewer at the beginning; same shape (n,)."""
+    total = np.cumsum(np.concatenate([[0.0], values]))
+    end = np.arange(1, len(values) + 1)
+    start = np.maximum(end - width, 0)
+    return np.asarray((total[end] - total[start]) / (end - start))
+
+
+def learning_curve(
+    reward: Sequence[float],
+    success: Sequence[float],
+    evaluated_at: Sequence[int],
+    evaluated: Sequence[float],
+    epsilon: float,
+) -> Figure:
+    """Total reward of the training episodes, and success in training and when frozen.
+
+    Args:
+        reward: total reward of each training episode.
+        success: share of the robots that arrived in each.
+        evaluated_at: training episodes after which frozen weights were evaluated.
+        evaluated: their success.
+        epsilon: exploration of those evaluations.
+
+    Returns:
+        The figure.
+    """
+    figure = Figure(figsize=(7, 5.6), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    episode = np.arange(1, len(reward) + 1)
+    top.plot(episode, reward, color="#2e86de", alpha=0.3, linewidth=0.8)
+    if reward:
+        top.plot(episode, running_mean(np.asarray(reward), SMOOTHING), color="#2e86de")
+    top.set(ylabel="total reward of an episode", title="Training")
+    if success:
+        smooth = running_mean(np.asarray(success), SMOOTHING)
+        bottom.plot(episode, smooth, color="#999999", label=f"training, mean of {SMOOTHING}")
+    bottom.plot(
+        evaluated_at,
+        evaluated,
+        "o-",
+        color="#e4572e",
+        markersize=4,
+        label=f"frozen, held-out starts, eps = {epsilon:g}",
+    )
+    bottom.set(xlabel="training episode", ylabel="robots that arrive", ylim=(-0.02, 1.05))
+    bottom.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=2, frameon=False
+    )
+    for axes in (top, bottom):
+        axes.grid(alpha=0.25)
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure

@@ -1,0 +1,80 @@
+"""What a run has shown: episodes, evaluations of frozen weights, and when it converged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.evaluation import Evaluator
+
+MEASURES = (
+    "success",
+    "path_ratio",
+    "ee",
+    "ee_bits_per_joule",
+    "sum_rate",
+    "min_rate",
+    "sic_violations",
+    "projections",
+)
+"""What an evaluation reports, in ``summary.json`` and elsewhere."""
+
+METRICS = ("episode", "tick", "slots", "reward", *MEASURES, "epsilon")
+EVALUATIONS = ("episode", "tick", "cpu_s", "epsilon", *MEASURES)
+CONVERGED = 0.9
+
+
+@dataclass
+class History:
+    """What a run has shown so far: a row an episode and a row an evaluation, explored and greedy.
+
+    The path ratio of an explored row is that of the greedy one beside it: random moves lengthen
+    any path.
+    """
+
+    episodes: list[dict[str, float]] = field(default_factory=list)
+    evaluations: list[dict[str, float]] = field(default_factory=list)
+    greedy: list[dict[str, float]] = field(default_factory=list)
+
+    def last(self, count: int, *, greedy: bool = False) -> dict[str, float]:
+        """The mean of the last evaluations, measure by measure."""
+        rows = (self.greedy if greedy else self.evaluations)[-count:]
+        return {name: mean([row[name] for row in rows]) for name in MEASURES}
+
+    def converged(self) -> dict[str, float] | None:
+        """The first of three evaluations in a row with success of at least .9, if any."""
+        for first, second, third in zip(
+            self.evaluations, self.evaluations[1:], self.evaluations[2:], strict=False
+        ):
+            if min(row["success"] for row in (first, second, third)) >= CONVERGED:
+                return {key: first[key] for key in ("episode", "tick", "cpu_s")}
+        return None
+
+
+def mean(values: list[float]) -> float:
+    """The mean of those that are finite; nan if none is."""
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else float("nan")
+
+
+def evaluate(
+    evaluator: Evaluator, robots: NDArray[np.float32], ap: NDArray[np.float32], epsilon: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Plays frozen weights with some exploration and greedily.
+
+    Args:
+        evaluator: of the run.
+        robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
+        ap: online weights of the access point, shape (P_AP,).
+        epsilon: exploration of the first.
+
+    Returns:
+        Measures with exploration, with the path ratio of the greedy ones; and greedy ones.
+    """
+    explored, greedy = (m.summary() for m in evaluator.play(robots, ap, (epsilon, 0.0)))
+    return (
+        {**explored, "epsilon": epsilon, "path_ratio": greedy["path_ratio"]},
+        {**greedy, "epsilon": 0.0},
+    )

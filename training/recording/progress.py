@@ -1,0 +1,44 @@
+"""Where a run is, and whoever watches it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env.episode import EpisodeMeasures
+
+
+@dataclass
+class Progress:
+    """Where a run is: counters that belong to its state.
+
+    Attributes:
+        tick: joint steps taken.
+        window: aggregations made.
+        episodes: training episodes that have ended.
+    """
+
+    tick: int = 0
+    window: int = 0
+    episodes: int = 0
+
+
+class Observer(Protocol):
+    """Whoever watches a run."""
+
+    def on_start(self) -> None:
+        """Every robot has joined and the first tick begins."""
+        ...
+
+    def on_episode(self, progress: Progress, measures: EpisodeMeasures) -> None:
+        """A training episode has ended."""
+        ...
+
+    def on_window(
+        self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
+    ) -> None:
+        """Weights after aggregation: robots (K, 2, P), or (1, 2, P) if all are the same."""
+        ...

@@ -1,0 +1,221 @@
+"""The recorder of a run: evaluates while it trains and writes its folder as it goes."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import epsilon_at
+from conf import Config, to_yaml
+from env.episode import EpisodeMeasures
+from storage.atomic import write_atomically
+from training.evaluation import Evaluator
+from training.recording.files import CsvLog
+from training.recording.history import EVALUATIONS, METRICS, History, evaluate, mean
+from training.recording.progress import Progress
+
+PROGRESS_PERIOD_S = 0.5
+
+log = logging.getLogger(__name__)
+
+
+class Recorder:
+    """Watches a run, implements ``progress.Observer``.
+
+    What the run is to leave behind must be written. ``progress.json`` and the events of TensorBoard
+    only show it to whoever watches: where they fail, that is said once, and the run goes on.
+
+    Args:
+        config: the run's configuration.
+        folder: the run's folder, made here.
+        evaluator: plays frozen weights.
+        cpu_s: processor time that the run has used so far.
+        resumed: what ``marks`` gave where the run goes on from a checkpoint.
+
+    Attributes:
+        folder: the run's folder.
+        clients: each client, whether it is connected and what it has cost.
+        checkpoint: the window of the last checkpoint, if any.
+        round: the number of the Flower round, if there are rounds.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        folder: Path,
+        evaluator: Evaluator,
+        cpu_s: Callable[[], float],
+        resumed: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._config, self.folder = config, folder
+        self._evaluator = evaluator
+        self._cpu_s = cpu_s
+        self.clients: Callable[[], list[dict[str, Any]]] = list
+        self.began = self.started = time.perf_counter()
+        self._written = 0.0
+        self._ended: float | None = None
+        self.checkpoint: int | None = None
+        self.round: int | None = None
+        self.running = False
+        self._is_shown = True
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / "config.yaml", to_yaml(config))
+        marks = resumed or {"episodes": 0, "evaluations": 0, "training_s": 0.0, "evaluation_s": 0.0}
+        self.evaluation_s, self._trained_s = marks["evaluation_s"], marks["training_s"]
+        self._metrics = CsvLog(folder / "metrics.csv", METRICS, marks["episodes"])
+        self._evaluations = CsvLog(
+            folder / "evaluations.csv", EVALUATIONS, 2 * marks["evaluations"]
+        )
+        rows = self._evaluations.kept
+        self.history = History(self._metrics.kept, rows[::2], rows[1::2])
+        undone = max([-1, *(int(row["tick"]) for row in (*self.history.episodes, *rows))]) + 1
+        self._events = _event_writer(folder, undone) if config.run.tensorboard else None
+        tick = int(self.history.episodes[-1]["tick"]) if self.history.episodes else 0
+        self.report("starting", Progress(tick, 0, len(self.history.episodes)))
+
+    def on_start(self) -> None:
+        """Start-up is over."""
+        self.started, self.running = time.perf_counter() - self._trained_s, True
+
+    def marks(self) -> dict[str, Any]:
+        """How far the files have been written and the clocks have run, once all is on disk."""
+        self._metrics.sync()
+        self._evaluations.sync()
+        return {
+            "episodes": len(self.history.episodes),
+            "evaluations": len(self.history.evaluations),
+            "training_s": time.perf_counter() - self.started,
+            "evaluation_s": self.evaluation_s,
+        }
+
+    def on_episode(self, progress: Progress, measures: EpisodeMeasures) -> None:
+        """Writes a row of ``metrics.csv``."""
+        row = {
+            "episode": progress.episodes,
+            "tick": progress.tick,
+            **measures.summary(),
+            "epsilon": epsilon_at(self._config.agent.epsilon, progress.tick),
+        }
+        self.history.episodes.append(row)
+        self._metrics.write(row)
+        self._log_events("train", row, progress.tick)
+
+    def on_window(
+        self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
+    ) -> None:
+        """Evaluates the aggregated weights where that is due."""
+        done = len(self.history.evaluations)
+        if progress.episodes // self._config.evaluation.every > done:
+            began = time.perf_counter()
+            self._evaluate(progress, robots[:, 0], ap[0])
+            self.evaluation_s += time.perf_counter() - began
+        if time.perf_counter() - self._written > PROGRESS_PERIOD_S:
+            self.report("training", progress)
+
+    def _evaluate(
+        self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
+    ) -> None:
+        explored, greedy = evaluate(self._evaluator, robots, ap, self._config.evaluation.epsilon)
+        at = {"episode": progress.episodes, "tick": progress.tick, "cpu_s": self._cpu_s()}
+        for rows, name, values in (
+            (self.history.evaluations, "evaluation", explored),
+            (self.history.greedy, "greedy", greedy),
+        ):
+            row = {**at, **values}
+            rows.append(row)
+            self._evaluations.write(row)
+            self._log_events(name, row, progress.tick)
+
+    def steps_per_s(self, progress: Progress) -> float:
+        """Joint steps per second since the first one, evaluations included."""
+        until = self._ended or time.perf_counter()
+        return progress.tick / max(until - self.started, 1e-9)
+
+    def end_training(self) -> float:
+        """Stops the clock of ``steps_per_s``; returns the seconds since the first tick."""
+        self._ended = time.perf_counter()
+        return self._ended - self.started
+
+    def report(self, state: str, progress: Progress, message: str = "") -> None:
+        """Writes ``progress.json`` for whoever watches from outside, as far as that can be done."""
+        self._written = time.perf_counter()
+        recent = self.history.episodes[-10:]
+        status: dict[str, Any] = {
+            "state": state,
+            "message": message,
+            "written_at": time.time(),
+            "tick": progress.tick,
+            "window": progress.window,
+            "episode": progress.episodes,
+            "episodes": self._config.train.episodes,
+            "max_ticks": self._config.train.max_ticks,
+            "steps_per_s": self.steps_per_s(progress) if progress.tick else 0.0,
+            "elapsed_s": time.perf_counter() - self.began,
+            "slots": mean([row["slots"] for row in recent]) if recent else None,
+            "reward": mean([row["reward"] for row in recent]) if recent else None,
+            "ee": mean([row["ee"] for row in recent]) if recent else None,
+            "success": mean([row["success"] for row in recent]) if recent else None,
+            "evaluated": self.history.evaluations[-1]["success"]
+            if self.history.evaluations
+            else None,
+            "checkpoint": self.checkpoint,
+            "round": self.round,
+            "clients": self.clients(),
+        }
+        try:
+            write_atomically(self.folder / "progress.json", json.dumps(status), durable=False)
+            self._is_shown = True
+        except OSError as error:
+            if self._is_shown:
+                log.warning("progress.json is not written: %s", error.strerror or error)
+            self._is_shown = False
+
+    def close(self) -> None:
+        """Flushes and closes what is open; safe to call again."""
+        self._metrics.close()
+        self._evaluations.close()
+        if self._events is not None:
+            try:
+                self._events.close()
+            except Exception as error:
+                self._give_up_events(error)
+
+    def _log_events(self, group: str, row: dict[str, float], tick: int) -> None:
+        if self._events is None:
+            return
+        try:
+            for name, value in row.items():
+                if name not in ("episode", "tick") and np.isfinite(value):
+                    self._events.add_scalar(f"{group}/{name}", value, tick)
+        except Exception as error:
+            self._give_up_events(error)
+
+    def _give_up_events(self, error: Exception) -> None:
+        self._events = None
+        _warn_of_events(error)
+
+
+def _event_writer(folder: Path, first: int) -> Any:
+    """Writes events; those of an earlier attempt from the tick ``first`` on no longer count.
+
+    None where that cannot be done.
+    """
+    try:
+        from torch.utils.tensorboard import SummaryWriter  # slow: only where it is wanted
+
+        return SummaryWriter(str(folder / "tensorboard"), purge_step=first or None)
+    except Exception as error:
+        _warn_of_events(error)
+        return None
+
+
+def _warn_of_events(error: Exception) -> None:
+    why = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+    log.warning("no events for TensorBoard from here on: %s", why)

@@ -1,0 +1,192 @@
+"""``resume=RUN``: a run that died or was stopped goes on from its last checkpoint."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import secrets
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from conf import Config, ConfigError, fingerprint, flower_clients, overridden, robots_learn, to_yaml
+from conf.overrides import parse
+from conf.user_paths import RESUME, pasted, resumed_folder
+from env.texts import read_text
+from storage.checkpoint_files import CheckpointError
+from storage.checkpoint_layout import STATE
+from training.checkpoint import Checkpoint, latest
+from training.preflight import check, checked_yaml
+from training.recording.files import check_files
+
+MAY_CHANGE = ("train.episodes", "train.max_ticks")
+"""What a resume may set: when the run ends. All else would make it another run."""
+FINAL = {"summary.json", "weights.safetensors"}
+"""What a run that has ended leaves behind."""
+BEFORE_THE_START = {"progress.json", "stop"}
+"""What a run may leave behind that did not get to its configuration."""
+
+
+def new_id() -> str:
+    """A fresh identity for a run, 16 hexadecimal digits."""
+    return secrets.token_hex(8)
+
+
+def asked(overrides: Sequence[str]) -> bool:
+    """Whether overrides ask to resume a run."""
+    return any(resumed_folder(item) is not None for item in overrides)
+
+
+def how(folder: Path) -> str:
+    """The command that goes on with a run, as it can be pasted into a shell."""
+    return f"risfleet train {pasted(RESUME, folder)}"
+
+
+def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
+    """The run that ``resume=RUN`` names, and where it goes on.
+
+    Args:
+        overrides: ``resume=RUN`` and, if the end is to be another, ``train.episodes`` or
+            ``train.max_ticks``.
+
+    Returns:
+        Its configuration, ``run.dir`` being where the run is now, and its newest whole checkpoint.
+
+    Raises:
+        ConfigError: there is no such run or checkpoint, it is another version's, it has ended, or
+            another key is set.
+    """
+    folder = _folder(overrides)
+    rest = [item for item in overrides if resumed_folder(item) is None]
+    for item in parse(rest):
+        if item.key_or_group not in MAY_CHANGE:
+            raise ConfigError(
+                f"{item.input_line}: allowed beside resume are {' and '.join(MAY_CHANGE)}: all else"
+                " is the run's own."
+            )
+    config = _config(folder, rest)
+    try:
+        checkpoint = _checkpoint(folder, config)
+    except CheckpointError as error:
+        raise ConfigError(f"resume={folder}: {error}.") from error
+    _check_unfinished(folder, config, checkpoint)
+    return config, checkpoint
+
+
+def standing(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None:
+    """How far a run has come that is wanted whole.
+
+    Args:
+        config: the run's configuration. ``train.episodes`` and ``train.max_ticks`` may differ from
+            those in the folder, where the run began.
+        folder: its folder, there or not.
+
+    Returns:
+        What ``summary.json`` holds if it has ended; otherwise its newest whole checkpoint; None
+        if it has neither and begins.
+
+    Raises:
+        ConfigError: the folder holds something else, or a checkpoint of another version.
+    """
+    held = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    if held <= BEFORE_THE_START:
+        return None
+    own = _config(folder, []) if "config.yaml" in held else None
+    if own is None or not same(own, config, until=False):
+        raise ConfigError.of([("run.dir", folder, "a folder that is new, empty or of this run")])
+    found: dict[str, Any] | Checkpoint | None = _ended(config, folder) if held >= FINAL else None
+    over = found is not None
+    if found is None:
+        try:
+            checkpoint = _checkpoint(folder, own)
+        except CheckpointError:
+            return None
+        found, over = checkpoint, _is_over(config, *_counts(checkpoint))
+    if over and own.train != config.train:
+        raise ConfigError.of([("run.dir", folder, "a folder whose run has not gone beyond this")])
+    return found
+
+
+def _ended(config: Config, folder: Path) -> dict[str, Any] | None:
+    """What ``summary.json`` holds if the run has come to its end."""
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8-sig"))
+    return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
+
+
+def same(one: Config, other: Config, *, until: bool = True) -> bool:
+    """Whether two configurations are of one run, wherever its folder and its robots lie.
+
+    Args:
+        one: a configuration.
+        other: another one.
+        until: whether the run must end alike, too.
+    """
+    return _essence(one) == _essence(other) and (not until or one.train == other.train)
+
+
+def _essence(config: Config) -> str:
+    """A configuration as text, without what may differ from one part of a run to the next."""
+    run = dataclasses.replace(config.run, dir=None, id=None)
+    train = dataclasses.replace(config.train, episodes=1, max_ticks=None)
+    federation = dataclasses.replace(config.federation, clients=flower_clients(config))
+    return to_yaml(dataclasses.replace(config, run=run, train=train, federation=federation))
+
+
+def _checkpoint(folder: Path, config: Config) -> Checkpoint:
+    """The newest whole checkpoint of a run.
+
+    Raises:
+        CheckpointError: there is none.
+        ConfigError: it is another version's.
+    """
+    elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
+    kept = robots_learn(config) and not elsewhere
+    checkpoint = latest(folder / STATE, config.env.robots if kept else 0, config.run.id)
+    check_files(folder, checkpoint.meta["marks"])
+    if checkpoint.meta["fingerprint"] != fingerprint(config.env):
+        raise ConfigError(
+            f"resume={folder}: allowed is a run of this version of RISFleet, torch and plug-ins on"
+            " this type of CPU: with another it would not end in the same weights."
+        )
+    return checkpoint
+
+
+def _counts(checkpoint: Checkpoint) -> tuple[int, int]:
+    """Episodes that have ended, and ticks."""
+    tick, _, episodes = (int(count) for count in checkpoint.arrays["run/progress"])
+    return episodes, tick
+
+
+def _is_over(config: Config, episodes: int, ticks: int) -> bool:
+    most = config.train.max_ticks
+    return episodes >= config.train.episodes or (most is not None and ticks >= most)
+
+
+def _folder(overrides: Sequence[str]) -> Path:
+    folders = [folder for item in overrides if (folder := resumed_folder(item)) is not None]
+    if len(folders) > 1:
+        raise ConfigError(f"resume={folders[1]}: allowed is one run to go on with.")
+    if not (folders[0] / "config.yaml").is_file():
+        raise ConfigError(f"resume={folders[0]}: allowed is the folder of a run.")
+    return folders[0].absolute()
+
+
+def _config(folder: Path, overrides: Sequence[str]) -> Config:
+    """The run's own configuration, with what is set anew."""
+    try:
+        config = checked_yaml(read_text(folder / "config.yaml"))
+    except (OSError, UnicodeError) as error:
+        raise ConfigError(f"resume={folder}: config.yaml cannot be read: {error}.") from error
+    config = overridden(config, overrides)
+    return check(dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder))))
+
+
+def _check_unfinished(folder: Path, config: Config, checkpoint: Checkpoint) -> None:
+    episodes, tick = _counts(checkpoint)
+    if not all((folder / name).exists() for name in FINAL):
+        return  # it died after its last window: the rest is still to be written
+    if _is_over(config, episodes, tick):
+        raise ConfigError(
+            f"resume={folder}: the run has ended, with {episodes} episodes and {tick} ticks:"
+            " allowed is one that has not, or a larger train.episodes or train.max_ticks."
+        )

@@ -1,0 +1,216 @@
+"""A run from the server's side, whatever the runtime: everything but where the robots are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import single_threaded
+from conf import Config, fingerprint, robot_network, robots_learn, version
+from env.scenario import Scenario
+from env.seeding import Stream, stream
+from env.world import World
+from lockstep import Fleet
+from storage.atomic import write_atomically
+from storage.checkpoint_files import Writer, digest
+from storage.checkpoint_layout import STATE, owner
+from training.aggregation.strategies import build_aggregator
+from training.checkpoint import Checkpoint, save_server
+from training.communication import per_tick, waiting
+from training.controllers.schemes import build_phase_agent
+from training.coordinator import Coordinator
+from training.evaluation import Evaluator
+from training.recording.costs import Costs
+from training.recording.figures import save_figures
+from training.recording.files import save_weights, to_json
+from training.recording.history import MEASURES, evaluate
+from training.recording.recorder import Recorder
+
+STOP_FILE = "stop"
+"""A file of this name in the run folder ends the run at the next window boundary."""
+
+LAST_EVALUATIONS = 5
+FINAL_EPSILON = 0.05
+
+
+class Session:
+    """One training run.
+
+    Args:
+        config: the run's configuration.
+        folder: the run's folder.
+        resumed: where the run goes on, if it does not begin.
+        losses: what was lost on the way here, for the summary.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        folder: Path,
+        resumed: Checkpoint | None = None,
+        losses: Sequence[dict[str, Any]] = (),
+    ) -> None:
+        single_threaded()
+        self.losses = list(losses)
+        self.config, self.folder, self._resumed = config, folder, resumed
+        spent = {"wall_s": 0.0, "cpu_s": 0.0, "waited_s": 0.0}
+        if resumed is not None:
+            spent = resumed.meta["spent"]
+        self._waited_s = spent["waited_s"]
+        self._costs: Callable[[], Costs] = Costs
+        self._writer = Writer()
+        self._began = time.perf_counter() - spent["wall_s"]
+        self._cpu_before = time.process_time() - spent["cpu_s"]
+        scenario = Scenario.drawn(config.env, config.seed)
+        self.world = World(scenario, stream(config.seed, Stream.WORLD))
+        self.ap = build_phase_agent(config, self.world)
+        self.evaluator = Evaluator(config, scenario)
+        marks = None if resumed is None else resumed.meta["marks"]
+        self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s, marks)
+
+    def cpu_s(self) -> float:
+        """Processor time of this process and of the robots' processes since the run began."""
+        return time.process_time() - self._cpu_before + self._costs().client_cpu_s
+
+    def initial_weights(self) -> NDArray[np.float32]:
+        """The network that all robots start from, online and target, shape (2, P); P may be 0."""
+        if not robots_learn(self.config):
+            return np.zeros((2, 0), np.float32)
+        first = robot_network(self.config).initial_weights(stream(self.config.seed, Stream.WEIGHTS))
+        return np.stack([first, first])
+
+    def model(self) -> NDArray[np.float32] | None:
+        """What all robots take before the first tick, shape (2, P); None if they hold it."""
+        return self.initial_weights() if self._resumed is None else self._resumed.model
+
+    def train(
+        self,
+        fleet: Fleet,
+        costs: Callable[[], Costs] = Costs,
+        clients: Callable[[], list[dict[str, Any]]] = list,
+    ) -> dict[str, Any]:
+        """Trains with a fleet and writes everything that the run leaves behind.
+
+        Args:
+            fleet: the robots, which are sent to where the run begins or goes on.
+            costs: what the runtime has added since this process began.
+            clients: each client: its robots, and what it has cost.
+
+        Returns:
+            What ``summary.json`` holds.
+        """
+        before = Costs() if self._resumed is None else Costs(**self._resumed.meta["costs"])
+        earlier = costs()  # of a part of the run that was played in vain
+        self._costs = lambda: before.plus(costs().minus(earlier))
+        self.recorder.clients = clients
+        aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
+        stop = (self.folder / STOP_FILE).exists
+
+        def keep(last: bool) -> None:
+            self._checkpoint(run, last=last)
+
+        run = Coordinator(
+            self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop, keep
+        )
+        run.waited_s = self._waited_s
+        resumed = self._resumed
+        try:
+            fleet.begin(0 if resumed is None else resumed.window, self.model())
+            arrays = None if resumed is None else resumed.arrays
+            robots = run.run(self.initial_weights(), arrays)
+            self._writer.wait()
+            if not self.recorder.running:
+                self.recorder.on_start()
+            trained_s = self.recorder.end_training()
+            self.recorder.report("finishing", run.progress)
+            summary = self._finish(run, robots, trained_s, shared=aggregator is not None)
+            self.recorder.report("done", run.progress)
+        except BaseException:
+            with suppress(OSError):  # of a full disk: the error that stands is the first
+                self.recorder.report("training", run.progress)
+            raise
+        finally:
+            self.recorder.close()
+            self._writer.close()
+        return summary
+
+    def _checkpoint(self, run: Coordinator, *, last: bool) -> None:
+        """Writes the server's checkpoint of a window, where it is due or the run's last."""
+        every, window = self.config.state.every, run.progress.window
+        if every is None or (window % every and not last):
+            return
+        spent = {
+            "wall_s": time.perf_counter() - self._began,
+            "cpu_s": time.process_time() - self._cpu_before,
+            "waited_s": run.waited_s,
+        }
+        meta = {
+            **owner(self.config.run.id),
+            "spent": spent,
+            "costs": asdict(self._costs()),
+            "marks": self.recorder.marks(),
+            "fingerprint": fingerprint(self.config.env),
+            "losses": self.losses,
+        }
+        save_server(self._writer, self.folder / STATE, window, run.state(), meta)
+        self.recorder.checkpoint = window
+
+    def _finish(
+        self, run: Coordinator, robots: NDArray[np.float32], trained_s: float, *, shared: bool
+    ) -> dict[str, Any]:
+        """Evaluates the final weights, and writes weights, summary and figures."""
+        ap = self.ap.weights()
+        save_weights(self.folder / "weights.safetensors", robots, ap)
+        online = robots[:1, 0] if shared else robots[:, 0]
+        explored, greedy = evaluate(self.evaluator, online, ap[0], FINAL_EPSILON)
+        history = self.recorder.history
+        costs = self._costs()
+        summary = {
+            "seed": self.config.seed,
+            "runtime": self.config.runtime.name,
+            "strategy": self.config.strategy.name,
+            "scheme": asdict(self.config.scheme),
+            "robots": self.config.env.robots,
+            "versions": {name: version(name) for name in ("risfleet", "torch", "numpy", "flwr")},
+            "fingerprint": fingerprint(self.config.env),
+            "digest": {"robots": digest(robots), "ap": digest(ap)},
+            "ticks": run.progress.tick,
+            "windows": run.progress.window,
+            "episodes": run.progress.episodes,
+            "stopped_early": run.stopped,
+            "wall_s": time.perf_counter() - self._began,
+            "startup_s": self.recorder.started - self.recorder.began,
+            "training_s": trained_s,
+            "evaluation_s": self.recorder.evaluation_s,
+            "waited_s": run.waited_s,
+            "cpu_s": self.cpu_s(),
+            "steps_per_s": self.recorder.steps_per_s(run.progress),
+            "flower_share": costs.flower_s / trained_s,
+            "costs": asdict(costs),
+            "clients": (clients := self.recorder.clients()),
+            "communication": {
+                **(per_tick(self.config) if robots_learn(self.config) else {}),
+                "waiting": waiting(clients),
+            },
+            "losses": self.losses,
+            "converged": history.converged(),
+            "evaluation": {
+                "greedy": {name: greedy[name] for name in MEASURES},
+                "eps05": {name: explored[name] for name in MEASURES},
+                "last5": history.last(LAST_EVALUATIONS),
+                "last5_greedy": history.last(LAST_EVALUATIONS, greedy=True),
+            },
+        }
+        write_atomically(self.folder / "summary.json", to_json(summary))
+        if self.config.run.figures:
+            save_figures(
+                self.folder / "figures", self.config, self.evaluator, online, ap[0], history
+            )
+        return summary
