@@ -31,7 +31,7 @@ class ReferenceDQN:
         self.shape, self.config, self.discount, self.mu = shape, config, discount, proximal_mu
         self.generator, self.stored = generator, 0
         self.online, self.target = _network(shape, weights), _network(shape, weights)
-        self.anchor = [p.detach().clone() for p in self.online.parameters()]  # w_global
+        self.proximal_reference = [p.detach().clone() for p in self.online.parameters()]  # w_global
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
         rows, s = config.replay_size, (config.replay_size, shape.inputs)
         fields = ((s, "f4"), (rows, "i8"), (rows, "f4"), (s, "f4"), (rows, "f4"))
@@ -73,7 +73,7 @@ class ReferenceDQN:
         each = nn.functional.huber_loss(q, y, delta=self.config.huber_delta, reduction="none")
         total = loss = (importance * each).mean()  # L(w) = E[w_i Huber(Q(s, a) - y)]
         if self.mu:  # FedProx: + (mu/2) ||w - w_global||^2
-            pairs = zip(self.online.parameters(), self.anchor, strict=True)
+            pairs = zip(self.online.parameters(), self.proximal_reference, strict=True)
             total = loss + self.mu / 2 * torch.stack([((p - g) ** 2).sum() for p, g in pairs]).sum()
         self.optimizer.zero_grad()
         total.backward()  # type: ignore[no-untyped-call]  # torch declares no types for it

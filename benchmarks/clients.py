@@ -27,7 +27,7 @@ from agent import single_threaded
 from benchmarks.local import initial_weights
 from client_app.robots import RobotGroup
 from conf import Config, from_yaml, robot_network, to_yaml
-from lockstep import LinkServer, Step, Want, serve
+from lockstep import Expect, LinkServer, Step, serve
 from lockstep.tls import client_context, server_context
 from server_app.certificates import run_certificate
 
@@ -86,7 +86,7 @@ class Client:
     def _play_again(self) -> None:
         for step in self._recorded:
             self._group.step(step)
-            if step.want is Want.WEIGHTS:
+            if step.expect is Expect.WEIGHTS:
                 self._group.download(step.window, self._group.upload()[0])
 
 
@@ -129,7 +129,7 @@ def reporting(report: Connection, text: str, *arguments: Any) -> None:
 
 
 @dataclass(frozen=True)
-class Clients:
+class ClientProcesses:
     """The processes of all robots and the server's end of their link."""
 
     link: LinkServer
@@ -169,7 +169,7 @@ def token(robot: int) -> str:
 
 
 @contextmanager
-def connected_clients(config: Config, *, secure: bool = False) -> Iterator[Clients]:
+def connected_clients(config: Config, *, secure: bool = False) -> Iterator[ClientProcesses]:
     """Starts a process for each robot, linked over loopback; all have ended on leaving."""
     tls = run_certificate("127.0.0.1") if secure else None
     link = opened(config, tls=tls)
@@ -187,7 +187,7 @@ def connected_clients(config: Config, *, secure: bool = False) -> Iterator[Clien
             started.append(process)
             reports.append(receiving)
         link.wait_connected(PATIENCE_S, lambda: _check_alive(started))
-        yield Clients(link, reports)
+        yield ClientProcesses(link, reports)
     finally:
         link.close("the benchmark has ended")
         for process in started:

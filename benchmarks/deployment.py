@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import single_threaded
-from benchmarks.clients import SPAN, Clients, Mode, connected_clients
+from benchmarks.clients import SPAN, ClientProcesses, Mode, connected_clients
 from benchmarks.local import ServerSide, configured
-from benchmarks.result import Result, Target
+from benchmarks.result import Result, Threshold
 from conf import Config, robot_network
 from env.mdp.actions import ActionSpace
-from lockstep import UPDATE, Flag, Fleet, LinkServer, Want
+from lockstep import UPDATE, Expect, Flag, Fleet, LinkServer
 
-TARGET = Target(0.02, at_least=False)
+TARGET = Threshold(0.02, at_least=False)
 LINK_HOW = (
     "processor time of the link, both ends, handlers that do nothing, over that of a joint step in"
     " lockstep: 3 client processes and the server on loopback, no Flower"
@@ -54,10 +54,10 @@ class Lockstep:
     def __init__(self, link: Fleet, before: int = 0) -> None:
         self._link, self._before = link, Mode.LOCKSTEP.window(before)
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        """See ``Fleet.tell``."""
-        want = Want.WEIGHTS if want is Want.FAREWELL else want
-        self._link.tell(tick, self._before + window, want, updates)
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        """See ``Fleet.send_step``."""
+        expect = Expect.WEIGHTS if expect is Expect.END_ROUND else expect
+        self._link.send_step(tick, self._before + window, expect, updates)
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See ``Fleet.actions``."""
@@ -75,7 +75,7 @@ class Lockstep:
         """See ``Fleet.close``."""
 
 
-class MadeUp:
+class FakeFleet:
     """A fleet that is nowhere: its actions and weights were made up beforehand."""
 
     def __init__(self, config: Config) -> None:
@@ -85,8 +85,8 @@ class MadeUp:
         size = (robots, 2, robot_network(config).parameters)
         self._weights = rng.normal(size=size).astype(np.float32)
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        """See ``Fleet.tell``."""
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        """See ``Fleet.send_step``."""
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See ``Fleet.actions``."""
@@ -118,7 +118,7 @@ class Server:
     def __init__(self, config: Config, link: LinkServer, steps: int) -> None:
         self._config, self._link, self._steps = config, link, steps
         self._lockstep = ServerSide(config, Lockstep(link))
-        self._free = ServerSide(config, MadeUp(config))
+        self._free = ServerSide(config, FakeFleet(config))
         self._free.play(150)
         self._updates = np.zeros(config.env.robots, UPDATE)
         self._updates["flags"] = Flag.OUTCOME | Flag.DRIVING
@@ -136,7 +136,7 @@ class Server:
 
     def farewell(self) -> None:
         """Ends the conversation."""
-        self._link.tell(0, Mode.LINK.window(0), Want.FAREWELL, self._updates)
+        self._link.send_step(0, Mode.LINK.window(0), Expect.END_ROUND, self._updates)
 
     def _play(self) -> None:
         self._lockstep.play(self._steps)
@@ -147,15 +147,15 @@ class Server:
         for window in range(1, self._steps // every + 1):
             at = Mode.LINK.window(window)
             for _ in range(every):
-                self._link.tell(tick, at, Want.ACTIONS, self._updates)
+                self._link.send_step(tick, at, Expect.ACTIONS, self._updates)
                 self._link.actions(tick)
                 tick += 1
-            self._link.tell(tick, at, Want.WEIGHTS, self._updates)
+            self._link.send_step(tick, at, Expect.WEIGHTS, self._updates)
             self._link.upload(at)
             self._link.download(at, self._model)
 
     def _let_go(self) -> None:
-        self._link.tell(0, Mode.FREE.window(0), Want.ACTIONS, self._updates)
+        self._link.send_step(0, Mode.FREE.window(0), Expect.ACTIONS, self._updates)
         self._free.play(self._steps)
         self._link.actions(0)
 
@@ -196,7 +196,7 @@ def _play_blocks(server: Server, times: Times, blocks: int) -> None:
     server.farewell()
 
 
-def _processor_time(clients: Clients, times: Times) -> dict[Mode, NDArray[np.float64]]:
+def _processor_time(clients: ClientProcesses, times: Times) -> dict[Mode, NDArray[np.float64]]:
     """Processor seconds of all processes in each counted block, shape (blocks,) a mode."""
     total = {mode: np.array(times.cpu[mode]) for mode in Mode}
     for stamps in clients.stamps():

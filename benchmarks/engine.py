@@ -6,11 +6,11 @@ import numpy as np
 
 from agent import DQN, NetworkShape, single_threaded
 from agent.reference import ReferenceDQN
-from benchmarks.result import Result, Target, micro, take_turns
+from benchmarks.result import Result, Threshold, micro, take_turns
 from conf import Config, ap_network, compose, robot_network
 from env.seeding import Stream, stream
 
-WIDTHS = {64: Target(2.5, at_least=True), 128: Target(2.0, at_least=True)}
+WIDTHS = {64: Threshold(2.5, at_least=True), 128: Threshold(2.0, at_least=True)}
 EPSILON = 0.05
 RECORDED = 512
 HOW = (
@@ -55,10 +55,10 @@ class Stacked:
             self._tick += 1
             moves = self._robots.act(seen.robot[at], EPSILON, active)
             phase = self._ap.act(seen.ap[at], EPSILON, active[:1])
-            reward, following = seen.robot_reward[at], seen.robot[at + 1]
-            self._robots.learn(seen.robot[at], moves, reward, following, ended, active)
-            reward, following = seen.ap_reward[at], seen.ap[at + 1]
-            self._ap.learn(seen.ap[at], phase, reward, following, ended[:1], active[:1])
+            reward, next_observation = seen.robot_reward[at], seen.robot[at + 1]
+            self._robots.learn(seen.robot[at], moves, reward, next_observation, ended, active)
+            reward, next_observation = seen.ap_reward[at], seen.ap[at + 1]
+            self._ap.learn(seen.ap[at], phase, reward, next_observation, ended[:1], active[:1])
 
 
 class Plain:
@@ -92,10 +92,10 @@ class Plain:
             moves = [a.act(seen.robot[at, k], EPSILON) for k, a in enumerate(self._robots)]
             phase = self._ap.act(seen.ap[at, 0], EPSILON)
             for k, agent in enumerate(self._robots):
-                reward, following = float(seen.robot_reward[at, k]), seen.robot[at + 1, k]
-                agent.learn(seen.robot[at, k], moves[k], reward, following, False)
-            reward, following = float(seen.ap_reward[at, 0]), seen.ap[at + 1, 0]
-            self._ap.learn(seen.ap[at, 0], phase, reward, following, False)
+                reward, next_observation = float(seen.robot_reward[at, k]), seen.robot[at + 1, k]
+                agent.learn(seen.robot[at, k], moves[k], reward, next_observation, False)
+            reward, next_observation = float(seen.ap_reward[at, 0]), seen.ap[at + 1, 0]
+            self._ap.learn(seen.ap[at, 0], phase, reward, next_observation, False)
 
 
 def engine(*, quick: bool = False) -> list[Result]:
@@ -105,7 +105,7 @@ def engine(*, quick: bool = False) -> list[Result]:
     return [_compared(width, target, steps, blocks) for width, target in WIDTHS.items()]
 
 
-def _compared(width: int, target: Target, steps: int, blocks: int) -> Result:
+def _compared(width: int, target: Threshold, steps: int, blocks: int) -> Result:
     config = compose([f"agent.hidden=[{width},{width}]"])
     experience = Experience(robot_network(config), ap_network(config), config.env.robots)
     variants = {"plain": Plain(config, experience), "stacked": Stacked(config, experience)}

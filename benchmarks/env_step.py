@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from agent import single_threaded
-from benchmarks.result import Result, Target, micro, take_turns
+from benchmarks.result import Result, Threshold, micro, take_turns
 from conf import compose
 from env.config import EnvConfig
 from env.radio.radio_map import build_radio_map
@@ -95,11 +95,11 @@ def env_step(*, quick: bool = False) -> list[Result]:
             ratio,
             "ratio",
             VS_CARTPOLE,
-            Target(8, at_least=False),
+            Threshold(8, at_least=False),
             micros,
         ),
         Result.over(
-            "world_batch_256_vs_1", gain, "ratio", BATCHED, Target(20, at_least=True), micros
+            "world_batch_256_vs_1", gain, "ratio", BATCHED, Threshold(20, at_least=True), micros
         ),
         *_maps(scenario.config, 100_000 * float(np.median(taken["cartpole"])), 3 if quick else 9),
     ]
@@ -115,6 +115,6 @@ def _maps(config: EnvConfig, unit_s: float, blocks: int) -> list[Result]:
     }
     taken = take_turns(makers, 1, blocks)
     return [
-        Result.over(name, taken[name] / unit_s, "ratio", what, Target(1, at_least=False))
+        Result.over(name, taken[name] / unit_s, "ratio", what, Threshold(1, at_least=False))
         for name, what in zip(makers, (MAP, CODEBOOK), strict=True)
     ]

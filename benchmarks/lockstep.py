@@ -35,7 +35,7 @@ from benchmarks.sockets import echoing
 from client_app.robots import RobotGroup
 from conf import Config
 from experiments.runtimes.local import InProcessFleet
-from lockstep import Robots, Step, Want
+from lockstep import Expect, Robots, Step
 from lockstep.wire_format import actions_size, step_size
 
 BOUND_HOW = (
@@ -103,10 +103,10 @@ class Parted(InProcessFleet):
         self.spent_s = {"serial": 0.0, "ap": 0.0}
         self._since: float | None = None
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        """See ``Fleet.tell``."""
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        """See ``Fleet.send_step``."""
         self._note("serial")
-        super().tell(tick, window, want, updates)
+        super().send_step(tick, window, expect, updates)
         self._since = time.process_time()
 
     def actions(self, tick: int) -> NDArray[np.int32]:

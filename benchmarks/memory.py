@@ -36,7 +36,7 @@ Sample = dict[int, tuple[str, float, float, float]]
 """Role, resident and proportional set size in MB, processor time in s of each process."""
 
 
-class Watch:
+class MemoryWatch:
     """Looks at all processes that have a mark in their environment.
 
     Args:
@@ -63,7 +63,7 @@ class Watch:
 def memory(*, quick: bool = False) -> list[Result]:
     """Measures ``memory_*_mb`` and ``busy_*`` of each role."""
     mark = uuid.uuid4().hex
-    watch = Watch(mark)
+    watch = MemoryWatch(mark)
     with tempfile.TemporaryDirectory(prefix="risfleet-bench-") as folder:
         ticks = 500 if quick else 3000
         train("deployment", USUAL, ticks, Path(folder) / "run", {MARK: mark}, watch)

@@ -15,16 +15,16 @@ from agent.replay.uniform import RowLayout
 from benchmarks.clients import Mode, connected_clients
 from benchmarks.deployment import Lockstep
 from benchmarks.local import ServerSide, configured, initial_weights
-from benchmarks.result import Result, Target, micro, take_turns
+from benchmarks.result import Result, Threshold, micro, take_turns
 from client_app.robots import RobotGroup
-from client_app.state import Keeper, save_state
+from client_app.state import CheckpointedRobots, save_state
 from conf import Config
-from lockstep import UPDATE, Flag, LinkServer, LocalFleet, Want
+from lockstep import UPDATE, Expect, Flag, LinkServer, LocalFleet
 from storage.checkpoint_files import Writer
 from training.checkpoint import save_server
 from training.coordinator import Coordinator
 
-CHEAP = Target(0.03, at_least=False)
+CHEAP = Threshold(0.03, at_least=False)
 SPAN = 2
 """Checkpoints in a block; half as many windows as lie between two follow the last one."""
 
@@ -58,7 +58,7 @@ class Kept:
         fill(group.agents, config)
         save_state(group, folder, 1)
         self._every, self._folder, self._writer = config.state.every, folder, Writer()
-        self._keeper = Keeper(config, robots, folder)
+        self._keeper = CheckpointedRobots(config, robots, folder)
         self._keeper.begin(1, initial_weights(config))
         # A block's windows begin in the middle between two checkpoints, and end there.
         self._before = (config.state.every or 0) // 2
@@ -88,9 +88,11 @@ def fill(agents: DQN, config: Config) -> None:
     rng, size, inputs = np.random.default_rng(0), config.agent.replay_size, agents.shape.inputs
     layout = RowLayout(inputs)
     rows = np.empty((size, layout.width), np.float32)
-    seen, following = rng.normal(size=(2, size, inputs))
+    seen, next_observation = rng.normal(size=(2, size, inputs))
     chosen = rng.integers(agents.shape.actions, size=size)
-    layout.pack(seen, chosen, rng.normal(size=size), following, rng.random(size) < 0.01, rows)
+    layout.pack(
+        seen, chosen, rng.normal(size=size), next_observation, rng.random(size) < 0.01, rows
+    )
     for agent in range(len(agents)):
         state = agents.agent_state(agent)
         agents.restore_agent(agent, {**state, "replay": rows, "stored": np.array([size])})
@@ -136,13 +138,13 @@ class Exchanges:
     def __call__(self, steps: int) -> None:
         """Takes some."""
         for _ in range(steps):
-            self._link.tell(self._tick, Mode.LINK.window(1), Want.ACTIONS, self._updates)
+            self._link.send_step(self._tick, Mode.LINK.window(1), Expect.ACTIONS, self._updates)
             self._link.actions(self._tick)
             self._tick += 1
 
     def farewell(self) -> None:
         """Ends the conversation."""
-        self._link.tell(self._tick, Mode.LINK.window(1), Want.FAREWELL, self._updates)
+        self._link.send_step(self._tick, Mode.LINK.window(1), Expect.END_ROUND, self._updates)
 
 
 def _tls(steps: int, blocks: int) -> list[Result]:

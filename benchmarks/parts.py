@@ -13,8 +13,8 @@ import numpy as np
 from agent import single_threaded
 from benchmarks.local import LocalRun, configured
 from benchmarks.result import Result
-from env.episode import EpisodeTally
-from env.local_env import Slice
+from env.episode import EpisodeAccumulator
+from env.local_env import LocalEnv
 from training.aggregation.aggregator import Aggregator
 
 HOW = "share of a local joint step, 3 robots and AP, by stopwatches around the calls"
@@ -96,15 +96,15 @@ def _block(run: LocalRun, steps: int) -> tuple[dict[str, float], float]:
     methods: list[tuple[str, Any, str]] = [
         ("robots_learn", run.group.agents, "learn"),
         ("robots_act", run.group.agents, "act"),
-        ("robots_slice", Slice, "observe"),
-        ("robots_slice", Slice, "reward"),
+        ("robots_slice", LocalEnv, "observe"),
+        ("robots_slice", LocalEnv, "reward"),
         ("ap_learn", run.ap, "learn"),
         ("ap_act", run.ap, "act"),
         ("world", run.world, "step"),
         ("world", run.world, "local_observations"),
         ("world", run.world.observer, "of_all"),
-        ("tally", EpisodeTally, "add"),
-        ("tally", EpisodeTally, "measures"),
+        ("tally", EpisodeAccumulator, "add"),
+        ("tally", EpisodeAccumulator, "measures"),
         ("aggregation", Aggregator, "aggregate"),
     ]
     began = time.perf_counter()

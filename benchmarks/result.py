@@ -18,7 +18,7 @@ class Skipped(Exception):  # noqa: N818 - nothing went wrong
 
 
 @dataclass(frozen=True)
-class Target:
+class Threshold:
     """What a value should be: at least or below a bound."""
 
     bound: float
@@ -54,7 +54,7 @@ class Result:
     low: float
     high: float
     how: str
-    target: Target | None = None
+    target: Threshold | None = None
     details: dict[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -64,7 +64,7 @@ class Result:
         blocks: Seconds,
         unit: str,
         how: str,
-        target: Target | None = None,
+        target: Threshold | None = None,
         details: Mapping[str, float] | None = None,
     ) -> Result:
         """The median of a number measured once a block, shape (blocks,)."""

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.local import configured
-from benchmarks.result import Result, Target
+from benchmarks.result import Result, Threshold
 from training.communication import per_tick
 
 ROBOTS = (1, 3, 6)
 USUAL = 3
 RUNTIMES = ("local", "simulation", "deployment")
-FLOWER = Target(0.10, at_least=False)
-DEPLOYED = Target(0.9, at_least=True)
+FLOWER = Threshold(0.10, at_least=False)
+DEPLOYED = Threshold(0.9, at_least=True)
 TIMEOUT_S = 600.0
 GRACE_S = 30.0
 POLL_S = 1.0

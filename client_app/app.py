@@ -14,7 +14,7 @@ from flwr.app import Array, ArrayRecord, ConfigRecord, Context, Message, MetricR
 from flwr.clientapp import ClientApp
 
 from agent import single_threaded
-from client_app.state import Keeper, held_robots
+from client_app.state import CheckpointedRobots, held_robots
 from conf import Config, fingerprint, from_yaml, waits_for_the_lost
 from lockstep import serve
 from lockstep.tls import client_context
@@ -29,7 +29,7 @@ app = ClientApp()
 
 
 @dataclass(frozen=True)
-class Order:
+class RoundConfig:
     """What the ServerApp asks of a client in a round.
 
     Attributes:
@@ -51,7 +51,7 @@ class Order:
     certificate: str = ""
 
     @classmethod
-    def read(cls, record: ConfigRecord) -> Order:
+    def read(cls, record: ConfigRecord) -> RoundConfig:
         """Reads the order out of a train message."""
         return cls(
             config=from_yaml(str(record["config"])),
@@ -69,12 +69,12 @@ def train(message: Message, context: Context) -> Message:
     """Serves one round of windows and replies with the robots' weights."""
     single_threaded()
     began = time.process_time()
-    order = Order.read(message.content.config_records["order"])
+    order = RoundConfig.read(message.content.config_records["order"])
     model = message.content.array_records["arrays"].get("model")
     folder = state_folder(order.config, context.node_config)
     with (
         log_lines(order.config.run.id, order.round, order.robots),
-        closing(Keeper(order.config, order.robots, folder)) as keeper,
+        closing(CheckpointedRobots(order.config, order.robots, folder)) as keeper,
     ):
         keeper.begin(order.window, None if model is None else model.numpy())
         _serve(order, keeper)
@@ -110,7 +110,7 @@ def state_folder(config: Config, node_config: Mapping[str, object]) -> Path:
     return node_folder(Path(str(own)), str(config.run.id))
 
 
-def _serve(order: Order, keeper: Keeper) -> None:
+def _serve(order: RoundConfig, keeper: CheckpointedRobots) -> None:
     """Serves the robots on the link until the round ends."""
     link = order.config.federation.link
     context: ssl.SSLContext | None = None
@@ -124,8 +124,10 @@ def _serve(order: Order, keeper: Keeper) -> None:
         keeper,
         fingerprint=fingerprint(order.config.env),
         timeout_s=link.timeout_s,
-        patience_s=link.patience_s,
-        return_s=order.config.federation.loss_timeout_s if waits_for_the_lost(order.config) else 0,
+        idle_timeout_s=link.patience_s,
+        reconnect_timeout_s=order.config.federation.loss_timeout_s
+        if waits_for_the_lost(order.config)
+        else 0,
         n_parameters=keeper.parameters,
         client_context=context,
     )

@@ -18,7 +18,7 @@ CHANNEL_LIMIT_DB = 4000.0
 _FIELDS = ["cell", "outcome_cell", "rate", "channel_db", "outcome_channel_db"]
 
 
-def check_told(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int) -> None:
+def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int) -> None:
     """Checks what robots are told; a few microseconds for each, so before every tick.
 
     Args:
@@ -31,8 +31,8 @@ def check_told(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int
         ValueError: a cell that is not on the floor, or a rate or channel that is not a number or
             absurd; the message names tick, robot and value.
     """
-    for robot, told in zip(robots, updates[_FIELDS].tolist(), strict=True):
-        cell, reached, rate, channel_db, reached_db = told
+    for robot, received in zip(robots, updates[_FIELDS].tolist(), strict=True):
+        cell, reached, rate, channel_db, reached_db = received
         if not (
             0 <= cell < cells
             and 0 <= reached < cells
@@ -41,7 +41,7 @@ def check_told(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int
             and -CHANNEL_LIMIT_DB <= reached_db <= CHANNEL_LIMIT_DB
         ):
             values = ", ".join(
-                f"{name}={value:g}" for name, value in zip(_FIELDS, told, strict=True)
+                f"{name}={value:g}" for name, value in zip(_FIELDS, received, strict=True)
             )
             raise ValueError(
                 f"tick {tick}: robot {robot} was told what cannot be ({values}): cells are 0 to"

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import DQN, epsilon_at
-from client_app.input_checks import check_model, check_rewards, check_told
+from client_app.input_checks import check_model, check_received, check_rewards
 from conf import Config, robot_network
-from env.local_env import Slice
+from env.local_env import LocalEnv
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from lockstep import Flag, Step, Want
+from lockstep import Expect, Flag, Step
 
 # As numbers: NumPy looks for attributes on an enum's member, which runs Python code whose errors
 # it drops, a KeyboardInterrupt among them.
@@ -41,7 +41,7 @@ class RobotGroup:
     def __init__(self, config: Config, robots: Sequence[int]) -> None:
         self.robots, self.run = tuple(robots), config.run.id
         self._epsilon = config.agent.epsilon
-        self._slice = Slice(Scenario.drawn(config.env, config.seed).of(robots))
+        self._slice = LocalEnv(Scenario.drawn(config.env, config.seed).of(robots))
         self.agents = DQN(
             robot_network(config),
             config.agent,
@@ -59,14 +59,14 @@ class RobotGroup:
         """Learns from the outcome that a step carries and answers the actions that it wants."""
         self.window = step.window
         updates = step.updates
-        check_told(step.tick, self.robots, updates, self._slice.cells)
+        check_received(step.tick, self.robots, updates, self._slice.cells)
         flags = updates["flags"]
         learning = (flags & OUTCOME) != 0
         observation = self._slice.observe(updates["cell"], updates["channel_db"])
         if learning.any():
             self._learn(step.tick, updates, observation, learning, (flags & ARRIVED) != 0)
         self._cell, self._observation = updates["cell"], observation
-        if step.want is not Want.ACTIONS:
+        if step.expect is not Expect.ACTIONS:
             return None
         epsilon = epsilon_at(self._epsilon, step.tick)
         self._action = self.agents.act(self._observation, epsilon, (flags & DRIVING) != 0)
@@ -84,11 +84,13 @@ class RobotGroup:
         reached = updates["outcome_cell"]
         reward = self._slice.reward(updates["rate"], self._cell, reached, arrived)
         check_rewards(tick, self.robots, reward, learning)
-        following = observation
+        next_observation = observation
         channel_db = updates["outcome_channel_db"]
         if (reached != updates["cell"]).any() or (channel_db != updates["channel_db"]).any():
-            following = self._slice.observe(reached, channel_db)
-        self.agents.learn(self._observation, self._action, reward, following, arrived, learning)
+            next_observation = self._slice.observe(reached, channel_db)
+        self.agents.learn(
+            self._observation, self._action, reward, next_observation, arrived, learning
+        )
 
     def upload(self) -> NDArray[np.float32]:
         """Online and target weights of each robot, float32, shape (n, 2, P)."""

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from client_app.robots import RobotGroup
 from conf import Config
-from lockstep import Step, Want
+from lockstep import Expect, Step
 from storage.checkpoint_files import CheckpointError, Writer, load_checkpoint, save_checkpoint
 from storage.checkpoint_layout import robot_folder, robot_owner, robot_windows, round_folder
 
 log = logging.getLogger(__name__)
 
 
-class Keeper:
+class CheckpointedRobots:
     """Robots on the link that write their checkpoints before they upload, and go back to them.
 
     A checkpoint of every ``state.every`` windows is one that the server and all robots write; one
@@ -48,8 +48,8 @@ class Keeper:
     def step(self, step: Step) -> NDArray[np.int32] | None:
         """See ``Robots.step``."""
         actions = self._group.step(step)
-        if step.want is not Want.ACTIONS:
-            self._ended = (step.window, step.want is Want.FAREWELL)
+        if step.expect is not Expect.ACTIONS:
+            self._ended = (step.window, step.expect is Expect.END_ROUND)
         return actions
 
     def upload(self) -> NDArray[np.float32]:

@@ -6,13 +6,13 @@ from agent import Heads, NetworkShape
 from conf.schema import Config
 from env.config import phase_actions
 from env.mdp.actions import ActionSpace
-from env.mdp.observation import Observer
+from env.mdp.observation import ObservationEncoder
 
 
 def robot_network(config: Config) -> NetworkShape:
     """The DQN of each robot: s_L to 4 N_P actions."""
     return NetworkShape(
-        Observer(config.env).local_size,
+        ObservationEncoder(config.env).local_size,
         tuple(config.agent.hidden),
         ActionSpace.from_config(config.env).count,
         config.agent.dueling,
@@ -30,7 +30,7 @@ def ap_network(config: Config) -> NetworkShape:
         outputs = joint_actions(config)
     elif config.scheme.agents == "branching":
         outputs = central_heads(config).actions
-    inputs = Observer(config.env).global_size
+    inputs = ObservationEncoder(config.env).global_size
     return NetworkShape(inputs, tuple(config.agent.hidden), outputs, config.agent.dueling)
 
 

@@ -101,7 +101,7 @@ class FederationConfig:
 
 
 @dataclass(frozen=True)
-class StateConfig:
+class CheckpointConfig:
     """Checkpoints, from which a run that died goes on."""
 
     every: Annotated[int | None, Ge(1), "windows between checkpoints; null writes none"] = 50
@@ -138,7 +138,7 @@ class Config:
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     federation: FederationConfig = field(default_factory=FederationConfig)
-    state: StateConfig = field(default_factory=StateConfig)
+    state: CheckpointConfig = field(default_factory=CheckpointConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     run: RunConfig = field(default_factory=RunConfig)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env.mdp.reward import bits_per_joule, energy_efficiency
-from env.world import Outcome, World
+from env.world import StepResult, World
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class EpisodeMeasures:
 _COUNTS = ("shortest", "rate_sum", "slots", "arrived", "reward", "failed", "projected")
 
 
-class EpisodeTally:
+class EpisodeAccumulator:
     """Adds up the outcomes of the episodes that begin now in every world.
 
     Args:
@@ -84,7 +84,7 @@ class EpisodeTally:
         self._failed = np.zeros(shape[0], dtype=np.int64)
         self._projected = np.zeros(shape[0], dtype=np.int64)
 
-    def add(self, outcome: Outcome) -> None:
+    def add(self, outcome: StepResult) -> None:
         """Counts one slot."""
         self._rate_sum += outcome.rate
         self._slots += outcome.drove

@@ -13,7 +13,7 @@ from env.mdp.observation import CHANNEL, scaled_channel
 from env.scenario import Scenario
 
 
-class Slice:
+class LocalEnv:
     """The slices of n robots.
 
     Args:
@@ -62,4 +62,4 @@ class Slice:
         """
         before = self._distance_m[left, self._robot]
         after = self._distance_m[reached, self._robot]
-        return self._rewards.local(rate, before, after, arrived)
+        return self._rewards.of_robots(rate, before, after, arrived)

@@ -14,7 +14,7 @@ from env.geometry.floor import Floor
 from env.mdp import starts
 from env.mdp.actions import ActionSpace
 from env.mdp.destinations import draw_destinations
-from env.mdp.observation import Observer
+from env.mdp.observation import ObservationEncoder
 from env.mdp.reward import RewardFunction
 from env.radio.radio_map import RadioMap, build_radio_map
 from env.seeding import Stream, stream
@@ -50,7 +50,7 @@ class Scenario:
         self.config, self.destinations = config, destinations
         self.floor = Floor.from_config(config)
         self.actions = ActionSpace.from_config(config)
-        self.observer = Observer(config)
+        self.observer = ObservationEncoder(config)
         self.rewards = RewardFunction(config)
         self.slot_s = config.room.cell_m / config.motion.speed_mps
         self._radio_map = radio_map

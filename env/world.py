@@ -16,7 +16,7 @@ from env.radio.propagation import small_scale_fading
 from env.scenario import Scenario
 
 
-class Outcome(NamedTuple):
+class StepResult(NamedTuple):
     """What one slot brought, for B worlds of K robots.
 
     Attributes:
@@ -40,7 +40,7 @@ class Outcome(NamedTuple):
     allocation: Allocation
 
 
-class _Seen(NamedTuple):
+class _ObservationTable(NamedTuple):
     """Observations that depend on a robot and its cell alone."""
 
     local: NDArray[np.float32]  # s_L, (cells, K, local_size)
@@ -90,7 +90,7 @@ class World:
         self._fading_sources: Sequence[np.random.Generator] | None = None
         self._fading: NDArray[np.complex128] | None = None
 
-    def _tabulate(self) -> _Seen | None:
+    def _tabulate(self) -> _ObservationTable | None:
         """What is seen from every cell, if it stays and is no large table."""
         cells, robots = self._distance_m.shape
         if self.config.channel.fading == "slot" or cells * robots > MAX_SEEN:
@@ -98,8 +98,8 @@ class World:
         cell = np.broadcast_to(np.arange(cells)[:, None], (cells, robots))
         tables, everywhere = self.radio_map, np.ones((cells, robots), dtype=bool)
         local = self.observer.local(cell, tables.direct_db[cell], self.destinations)
-        by_all = self.observer.of_all(local, tables.direct[cell], everywhere)
-        return _Seen(local, by_all.reshape(cells, robots, -1))
+        by_all = self.observer.global_observation(local, tables.direct[cell], everywhere)
+        return _ObservationTable(local, by_all.reshape(cells, robots, -1))
 
     @property
     def robots(self) -> int:
@@ -220,14 +220,14 @@ class World:
             return seen.reshape(len(self.cell), -1)
         if local is None:
             local = self.local_observations()
-        return self.observer.of_all(local, self.direct, self.driving)
+        return self.observer.global_observation(local, self.direct, self.driving)
 
     def step(
         self,
         phase_action: NDArray[np.int64],
         direction: NDArray[np.int64],
         level: NDArray[np.int64],
-    ) -> Outcome:
+    ) -> StepResult:
         """One slot: channels at the cells left, order, powers, rates; then moves and rewards.
 
         Args:
@@ -255,11 +255,11 @@ class World:
         self._draw_fading()
         terminated = np.asarray(~self.driving.any(axis=-1))
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
-        local = self._rewards.local(allocation.rate, before_m, after_m, arrived)
-        return Outcome(
+        local = self._rewards.of_robots(allocation.rate, before_m, after_m, arrived)
+        return StepResult(
             rate=allocation.rate,
             local_reward=only(drove, local),
-            global_reward=only(running, self._rewards.of_all(allocation.rate, drove)),
+            global_reward=only(running, self._rewards.of_access_point(allocation.rate, drove)),
             drove=drove,
             arrived=arrived,
             terminated=terminated,

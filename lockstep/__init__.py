@@ -5,7 +5,7 @@ from lockstep.errors import (
     FrameError,
     LinkError,
     LinkTimeout,
-    OutOfTurn,
+    ProtocolError,
     Refused,
     RobotFailed,
     RobotLost,
@@ -13,11 +13,12 @@ from lockstep.errors import (
 )
 from lockstep.interface import Fleet, Robots
 from lockstep.local import LocalFleet
-from lockstep.messages import UPDATE, Flag, Step, Want
+from lockstep.messages import UPDATE, Expect, Flag, Step
 from lockstep.server import LinkServer
 
 __all__ = [
     "UPDATE",
+    "Expect",
     "Flag",
     "Fleet",
     "FrameError",
@@ -25,13 +26,12 @@ __all__ = [
     "LinkServer",
     "LinkTimeout",
     "LocalFleet",
-    "OutOfTurn",
+    "ProtocolError",
     "Refused",
     "RobotFailed",
     "RobotLost",
     "Robots",
     "ServerLost",
     "Step",
-    "Want",
     "serve",
 ]

@@ -16,17 +16,17 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from lockstep.errors import FrameError, described, named
-from lockstep.frame_stream import Wire, prepare
+from lockstep.frame_stream import FrameStream, prepare
 from lockstep.frames import decode, encode
-from lockstep.messages import VERSION, Hello, Refused, Welcome
+from lockstep.messages import VERSION, Hello, Rejection, Welcome
 from lockstep.wire_format import HELLO_SIZE
 
 log = logging.getLogger(__name__)
-MAX_NEWCOMERS = 64
+MAX_PENDING = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Admission:
+class RoundCredentials:
     """Who is let in: the terms of one round."""
 
     fingerprint: str
@@ -51,24 +51,24 @@ class Admission:
 
 
 @dataclass(frozen=True, eq=False)
-class Arrival:
+class AcceptedClient:
     """A client that was let in."""
 
-    admission: Admission
+    admission: RoundCredentials
     block: tuple[int, ...]
     sock: socket.socket
 
 
-class Newcomer:
+class PendingConnection:
     """A connection that has not said a valid hello yet."""
 
     def __init__(self, sock: socket.socket, peer: str, deadline: float) -> None:
         """A newcomer who has until `deadline` (monotonic, s) to say hello."""
         self.sock, self.peer, self.deadline = sock, peer, deadline
-        self.wire = Wire(sock, HELLO_SIZE)
+        self.wire = FrameStream(sock, HELLO_SIZE)
         self._shaken = not isinstance(sock, ssl.SSLSocket)
 
-    def hear(self) -> Hello | None:
+    def recv(self) -> Hello | None:
         """The hello, None as long as it is not complete."""
         if not self._shaken and isinstance(self.sock, ssl.SSLSocket):
             try:
@@ -85,7 +85,7 @@ class Newcomer:
         return message
 
 
-class Door(threading.Thread):
+class Acceptor(threading.Thread):
     """Listens, hears hellos, and hands those who may come in to the run."""
 
     def __init__(
@@ -93,14 +93,14 @@ class Door(threading.Thread):
     ) -> None:
         """A door that is still shut; `start` opens it."""
         super().__init__(name="link-door", daemon=True)
-        self.admission: Admission | None = None
-        self.arrivals: deque[Arrival] = deque()
-        self.bell, self._button = socket.socketpair()
+        self.admission: RoundCredentials | None = None
+        self.arrivals: deque[AcceptedClient] = deque()
+        self.wakeup, self._wakeup_sender = socket.socketpair()
         self._listener, self._handshake_s, self._context = listener, handshake_s, context
         self._halt, self._halter = socket.socketpair()
-        self._newcomers: dict[int, Newcomer] = {}
+        self._newcomers: dict[int, PendingConnection] = {}
         self._selector = selectors.DefaultSelector()
-        for sock in (listener, self.bell, self._button, self._halt):
+        for sock in (listener, self.wakeup, self._wakeup_sender, self._halt):
             sock.setblocking(False)
 
     def run(self) -> None:
@@ -131,7 +131,7 @@ class Door(threading.Thread):
         while self.arrivals:
             self.arrivals.popleft().sock.close()
         self._selector.close()
-        for sock in (self._listener, self.bell, self._button, self._halt, self._halter):
+        for sock in (self._listener, self.wakeup, self._wakeup_sender, self._halt, self._halter):
             sock.close()
 
     def _open(self) -> None:
@@ -151,46 +151,46 @@ class Door(threading.Thread):
                     sock, server_side=True, do_handshake_on_connect=False
                 )
             peer = f"{address[0]}:{address[1]}"
-            newcomer = Newcomer(sock, peer, time.monotonic() + self._handshake_s)
+            newcomer = PendingConnection(sock, peer, time.monotonic() + self._handshake_s)
             self._selector.register(sock, selectors.EVENT_READ)
         except (OSError, ValueError) as error:
             log.warning("a connection was closed: %s", described(error))
             sock.close()
             return
         self._newcomers[sock.fileno()] = newcomer
-        if len(self._newcomers) > MAX_NEWCOMERS:
+        if len(self._newcomers) > MAX_PENDING:
             self._turn_away(next(iter(self._newcomers.values())), "made room for others")
 
-    def _hear(self, newcomer: Newcomer) -> None:
+    def _hear(self, newcomer: PendingConnection) -> None:
         """Let a newcomer speak; nothing that it says may do harm."""
         try:
-            hello = newcomer.hear()
+            hello = newcomer.recv()
             if hello is not None:
                 self._judge(newcomer, hello)
         except Exception as error:
             self._turn_away(newcomer, described(error))
 
-    def _judge(self, newcomer: Newcomer, hello: Hello) -> None:
+    def _judge(self, newcomer: PendingConnection, hello: Hello) -> None:
         """Hand a newcomer over to the run, or tell it why not."""
         admission = self.admission
         reason = "no round is open" if admission is None else admission.refusal(hello)
         if admission is None or reason is not None:
-            newcomer.wire.send(encode(Refused(str(reason))), 0.0)
+            newcomer.wire.send(encode(Rejection(str(reason))), 0.0)
             self._turn_away(newcomer, f"refused: {reason}")
             return
         newcomer.wire.send(encode(Welcome()), 0.0)
         self._forget(newcomer)
-        self.arrivals.append(Arrival(admission, tuple(hello.robots), newcomer.sock))
+        self.arrivals.append(AcceptedClient(admission, tuple(hello.robots), newcomer.sock))
         with contextlib.suppress(BlockingIOError):
-            self._button.send(b"x")
+            self._wakeup_sender.send(b"x")
 
-    def _turn_away(self, newcomer: Newcomer, reason: str) -> None:
+    def _turn_away(self, newcomer: PendingConnection, reason: str) -> None:
         """Close a connection and say why."""
         log.warning("connection from %s closed: %s", newcomer.peer, reason)
         self._forget(newcomer)
         newcomer.wire.close()
 
-    def _forget(self, newcomer: Newcomer) -> None:
+    def _forget(self, newcomer: PendingConnection) -> None:
         """Listen to a newcomer no more."""
         self._selector.unregister(newcomer.sock)
         del self._newcomers[newcomer.sock.fileno()]

@@ -12,24 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lockstep.errors import Disconnected, FrameError, LinkTimeout, Refused, ServerLost, described
-from lockstep.frame_stream import Wire, prepare
+from lockstep.frame_stream import FrameStream, prepare
 from lockstep.frames import decode, encode
 from lockstep.interface import Robots, answer
 from lockstep.messages import (
     VERSION,
+    Abort,
+    Ack,
     Actions,
-    Begin,
+    Expect,
     Failure,
-    Halt,
     Hello,
     Message,
-    Ready,
+    Restore,
     Step,
-    Want,
     Weights,
     Welcome,
 )
-from lockstep.messages import Refused as RefusedMessage
+from lockstep.messages import Rejection as RefusedMessage
 from lockstep.wire_format import TEXT_SIZE, step_size, weights_size
 
 log = logging.getLogger(__name__)
@@ -44,8 +44,8 @@ def serve(
     fingerprint: str,
     timeout_s: float,
     n_parameters: int,
-    patience_s: float | None = None,
-    return_s: float = 0.0,
+    idle_timeout_s: float | None = None,
+    reconnect_timeout_s: float = 0.0,
     client_context: ssl.SSLContext | None = None,
 ) -> None:
     """Serve one round: returns once the handler has taken the step that wants a FAREWELL.
@@ -58,10 +58,11 @@ def serve(
         fingerprint: of the software; the server must have the same.
         timeout_s: the longest wait for a connection and a welcome, in s.
         n_parameters: P, of one network.
-        patience_s: the longest silence after that, in s; `timeout_s` if None. The server is silent
-            while other clients join and while it evaluates; if it dies, that is noticed at once.
-        return_s: how long to try to come back where the connection breaks, in s; 0 does not try.
-            A server that has died is not waited for: its machine refuses the connection.
+        idle_timeout_s: the longest silence after that, in s; `timeout_s` if None. The server is
+            silent while other clients join and while it evaluates; if it dies, that is noticed at
+            once.
+        reconnect_timeout_s: how long to try to come back where the connection breaks, in s; 0 does
+            not try. A server that has died is not waited for: its machine refuses the connection.
         client_context: for TLS; none, no TLS.
 
     Raises:
@@ -74,16 +75,16 @@ def serve(
     while True:
         try:
             line = _entered(sock, robots, tokens, fingerprint, timeout_s, n_parameters)
-            line.wait_up_to(timeout_s if patience_s is None else patience_s)
+            line.wait_up_to(timeout_s if idle_timeout_s is None else idle_timeout_s)
             _attend(line, handler, len(robots), n_parameters)
             return
         except Disconnected as error:
-            if not return_s:
+            if not reconnect_timeout_s:
                 raise
             log.warning("%s; coming back", error)
         finally:
             sock.close()
-        sock = _connected(address, return_s, client_context, if_refused=False)
+        sock = _connected(address, reconnect_timeout_s, client_context, if_refused=False)
 
 
 def _entered(
@@ -97,10 +98,10 @@ def _entered(
     """Say hello and hear the welcome."""
     hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
     limit = max(TEXT_SIZE, step_size(len(robots)), weights_size((2, n_parameters)))
-    line = _Line(Wire(sock, limit), timeout_s)
+    line = _Line(FrameStream(sock, limit), timeout_s)
     line.wait_up_to(timeout_s)
-    line.say(encode(hello))
-    answer = line.hear()
+    line.send(encode(hello))
+    answer = line.recv()
     if isinstance(answer, RefusedMessage):
         raise Refused(answer.reason)
     if not isinstance(answer, Welcome):
@@ -111,7 +112,7 @@ def _entered(
 class _Line:
     """Messages from and to the server, and what it means when they stop."""
 
-    def __init__(self, wire: Wire, timeout_s: float) -> None:
+    def __init__(self, wire: FrameStream, timeout_s: float) -> None:
         """A line over a socket that has this timeout."""
         self.wire, self._timeout_s = wire, timeout_s
 
@@ -120,7 +121,7 @@ class _Line:
         self._timeout_s = timeout_s
         self.wire.set_timeout(timeout_s)
 
-    def hear(self) -> Message:
+    def recv(self) -> Message:
         """The server's next message; its arrays are the caller's to keep."""
         try:
             frame = self.wire.receive()
@@ -132,7 +133,7 @@ class _Line:
             raise LinkTimeout(f"no word from the server for {self._timeout_s:g} s")
         return decode(bytearray(frame))
 
-    def say(self, frame: bytes) -> None:
+    def send(self, frame: bytes) -> None:
         """Send a frame."""
         try:
             self.wire.send(frame, self._timeout_s)
@@ -158,30 +159,30 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
     """Serve steps until the farewell."""
     uploaded = -1
     while True:
-        message = line.hear()
+        message = line.recv()
         if isinstance(message, Step):
             if len(message.updates) != count:
                 raise FrameError(f"a step for {len(message.updates)} robots, not {count}")
             given = answer(handler, message, n_parameters)
             if given is None:
                 return
-            if message.want is Want.ACTIONS:
+            if message.expect is Expect.ACTIONS:
                 uploaded = -1
-                line.say(encode(Actions(message.tick, given)))
+                line.send(encode(Actions(message.tick, given)))
             else:
                 uploaded = message.window
-                line.say(encode(Weights(message.window, given)))
+                line.send(encode(Weights(message.window, given)))
         elif isinstance(message, Weights) and message.window == uploaded:
             handler.download(message.window, _fitting(message.weights, n_parameters))
             uploaded = -1
-        elif isinstance(message, Halt):
+        elif isinstance(message, Abort):
             uploaded = -1
-            line.say(encode(Ready(message.number, tuple(handler.windows()))))
-        elif isinstance(message, Begin):
+            line.send(encode(Ack(message.number, tuple(handler.windows()))))
+        elif isinstance(message, Restore):
             model = message.model
             handler.begin(message.window, None if model is None else _fitting(model, n_parameters))
             uploaded = -1
-            line.say(encode(Ready(message.number)))
+            line.send(encode(Ack(message.number)))
         elif isinstance(message, Failure):
             raise ServerLost(f"the server has stopped: {message.reason}")
         else:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from lockstep.frame_stream import Wire
+from lockstep.frame_stream import FrameStream
 from lockstep.messages import rows_of
 from lockstep.wire_format import RECORD, TEXT_SIZE, actions_size, weights_size
 
@@ -29,7 +29,7 @@ class BlockStats:
         return self.gathered_s - self.waited_s
 
 
-class Seat:
+class ClientSlot:
     """One client's place in the round, whether or not it is taken."""
 
     def __init__(self, block: tuple[int, ...], shape: tuple[int, int], stats: BlockStats) -> None:
@@ -42,7 +42,7 @@ class Seat:
         self.upload_shape = (len(block), *shape)
         self.limit = max(TEXT_SIZE, actions_size(len(block)), weights_size(self.upload_shape))
         self.stats = stats
-        self.wire: Wire | None = None
+        self.wire: FrameStream | None = None
         self.awaited = False
         self.windows: frozenset[int] = frozenset()  # of its last `Ready`
         self.stale = False  # what comes is older than the last `Halt` or `Begin`

@@ -31,7 +31,7 @@ class FrameError(LinkError):
     """A frame is malformed, over-long or not what was expected."""
 
 
-class OutOfTurn(LinkError):
+class ProtocolError(LinkError):
     """This side was asked for something that the conversation is not at."""
 
 

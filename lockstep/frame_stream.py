@@ -34,7 +34,7 @@ def prepare(sock: socket.socket) -> None:
             sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
-class Wire:
+class FrameStream:
     """Sends and receives frames; whether it waits is up to the socket's timeout."""
 
     def __init__(self, sock: socket.socket, limit: int) -> None:

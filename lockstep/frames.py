@@ -20,30 +20,30 @@ from lockstep.messages import (
     MAX_ROBOTS,
     UPDATE,
     VERSION,
+    Abort,
+    Ack,
     Actions,
-    Begin,
+    Expect,
     Failure,
     Flag,
-    Halt,
     Hello,
     Message,
-    Ready,
-    Refused,
+    Rejection,
+    Restore,
     Step,
-    Want,
     Weights,
     Welcome,
 )
 from lockstep.wire_format import (
+    ABORT,
+    ACK,
     ACTIONS,
-    BEGIN,
     BODY_LIMITS,
-    HALT,
     HEADER,
     MAGIC,
     MOST_WINDOWS,
-    READY,
     RECORD,
+    RESTORE,
     STEP,
     WEIGHTS,
     Kind,
@@ -53,10 +53,10 @@ from lockstep.wire_format import (
 _STEP_FRAME = struct.Struct("<4sBBHIQIBxH")
 _ACTIONS_FRAME = struct.Struct("<4sBBHIQI")
 _FLAGS = int(Flag.OUTCOME | Flag.ARRIVED | Flag.DRIVING)
-_WANTS = tuple(Want)
+_WANTS = tuple(Expect)
 
 
-def step_frame(tick: int, window: int, want: Want, records: bytes) -> bytes:
+def step_frame(tick: int, window: int, expect: Expect, records: bytes) -> bytes:
     """The frame of a `Step`, from the bytes of its UPDATE records.
 
     Raises:
@@ -65,7 +65,7 @@ def step_frame(tick: int, window: int, want: Want, records: bytes) -> bytes:
     count = len(records) // RECORD
     try:
         head = _STEP_FRAME.pack(
-            MAGIC, VERSION, Kind.STEP, 0, STEP.size + len(records), tick, window, want, count
+            MAGIC, VERSION, Kind.STEP, 0, STEP.size + len(records), tick, window, expect, count
         )
     except struct.error as error:
         raise FrameError(f"tick {tick} or window {window} is out of range") from error
@@ -94,7 +94,7 @@ def _framed(kind: Kind, *parts: bytes | memoryview) -> bytes:
 
 def _encode_step(step: Step) -> bytes:
     records = np.ascontiguousarray(step.updates, UPDATE).tobytes()
-    return step_frame(step.tick, step.window, step.want, records)
+    return step_frame(step.tick, step.window, step.expect, records)
 
 
 def _encode_actions(message: Actions) -> bytes:
@@ -110,19 +110,19 @@ def _encode_weights(message: Weights) -> bytes:
     return _framed(Kind.WEIGHTS, WEIGHTS.pack(message.window, weights.ndim, *shape), weights.data)
 
 
-def _encode_begin(begin: Begin) -> bytes:
+def _encode_begin(begin: Restore) -> bytes:
     if begin.model is None:
-        return _framed(Kind.BEGIN, BEGIN.pack(begin.number, begin.window, 0, 0))
+        return _framed(Kind.RESTORE, RESTORE.pack(begin.number, begin.window, 0, 0))
     model = np.ascontiguousarray(begin.model, "<f4")
     if model.ndim != 2 or 0 in model.shape:
         raise FrameError(f"a model of shape {model.shape}")
-    return _framed(Kind.BEGIN, BEGIN.pack(begin.number, begin.window, *model.shape), model.data)
+    return _framed(Kind.RESTORE, RESTORE.pack(begin.number, begin.window, *model.shape), model.data)
 
 
-def _encode_ready(ready: Ready) -> bytes:
+def _encode_ready(ready: Ack) -> bytes:
     windows = ready.windows[-MOST_WINDOWS:]
-    head = READY.pack(ready.number, len(windows))
-    return _framed(Kind.READY, head, struct.pack(f"<{len(windows)}I", *windows))
+    head = ACK.pack(ready.number, len(windows))
+    return _framed(Kind.ACK, head, struct.pack(f"<{len(windows)}I", *windows))
 
 
 def _encode_hello(hello: Hello) -> bytes:
@@ -136,10 +136,10 @@ _ENCODERS: dict[type, Callable[[Any], bytes]] = {
     Weights: _encode_weights,
     Hello: _encode_hello,
     Welcome: lambda m: _framed(Kind.WELCOME, json.dumps({"version": m.version}).encode()),
-    Begin: _encode_begin,
-    Ready: _encode_ready,
-    Halt: lambda m: _framed(Kind.HALT, HALT.pack(m.number)),
-    Refused: lambda m: _framed(Kind.REFUSED, one_line(m.reason).encode()),
+    Restore: _encode_begin,
+    Ack: _encode_ready,
+    Abort: lambda m: _framed(Kind.ABORT, ABORT.pack(m.number)),
+    Rejection: lambda m: _framed(Kind.REFUSED, one_line(m.reason).encode()),
     Failure: lambda m: _framed(Kind.FAILURE, one_line(m.reason).encode()),
 }
 
@@ -182,14 +182,14 @@ def decode(frame: memoryview | bytes | bytearray) -> Message:
 
 
 def _decode_step(body: memoryview) -> Step:
-    tick, window, want, count = STEP.unpack_from(body)
-    if want >= len(_WANTS) or not 1 <= count <= MAX_ROBOTS:
+    tick, window, expect, count = STEP.unpack_from(body)
+    if expect >= len(_WANTS) or not 1 <= count <= MAX_ROBOTS:
         raise ValueError("what it wants or its number of robots is out of range")
     if len(body) != STEP.size + count * RECORD:
         raise ValueError(f"{len(body)} bytes are not {count} records")
     if max(body[STEP.size :: RECORD]) > _FLAGS or any(body[STEP.size + 1 :: RECORD]):
         raise ValueError("unknown flags")
-    return Step(tick, window, _WANTS[want], np.frombuffer(body, UPDATE, count, STEP.size))
+    return Step(tick, window, _WANTS[expect], np.frombuffer(body, UPDATE, count, STEP.size))
 
 
 def _decode_actions(body: memoryview) -> Actions:
@@ -208,26 +208,26 @@ def _decode_weights(body: memoryview) -> Weights:
     return Weights(window, np.frombuffer(body, "<f4", offset=WEIGHTS.size).reshape(dims[:ndim]))
 
 
-def _decode_begin(body: memoryview) -> Begin:
-    number, window, *shape = BEGIN.unpack_from(body)
-    if len(body) != BEGIN.size + 4 * math.prod(shape) or (0 in shape and any(shape)):
+def _decode_begin(body: memoryview) -> Restore:
+    number, window, *shape = RESTORE.unpack_from(body)
+    if len(body) != RESTORE.size + 4 * math.prod(shape) or (0 in shape and any(shape)):
         raise ValueError(f"{len(body)} bytes are not a model of shape {shape}")
     if not any(shape):
-        return Begin(number, window, None)
-    return Begin(number, window, np.frombuffer(body, "<f4", offset=BEGIN.size).reshape(shape))
+        return Restore(number, window, None)
+    return Restore(number, window, np.frombuffer(body, "<f4", offset=RESTORE.size).reshape(shape))
 
 
-def _decode_ready(body: memoryview) -> Ready:
-    number, count = READY.unpack_from(body)
-    if len(body) != READY.size + 4 * count:
+def _decode_ready(body: memoryview) -> Ack:
+    number, count = ACK.unpack_from(body)
+    if len(body) != ACK.size + 4 * count:
         raise ValueError(f"{len(body)} bytes are not {count} windows")
-    return Ready(number, struct.unpack_from(f"<{count}I", body, READY.size))
+    return Ack(number, struct.unpack_from(f"<{count}I", body, ACK.size))
 
 
-def _decode_halt(body: memoryview) -> Halt:
-    if len(body) != HALT.size:
+def _decode_halt(body: memoryview) -> Abort:
+    if len(body) != ABORT.size:
         raise ValueError(f"{len(body)} bytes")
-    return Halt(*HALT.unpack(body))
+    return Abort(*ABORT.unpack(body))
 
 
 def _number(value: object, limit: int) -> int:
@@ -268,12 +268,12 @@ def _decode_hello(body: memoryview) -> Hello:
 _DECODERS: dict[int, Callable[[memoryview], Message]] = {
     Kind.HELLO: _decode_hello,
     Kind.WELCOME: lambda body: Welcome(_number(_fields(body).get("version"), 2**16)),
-    Kind.REFUSED: lambda body: Refused(one_line(str(body, "utf-8"))),
+    Kind.REFUSED: lambda body: Rejection(one_line(str(body, "utf-8"))),
     Kind.FAILURE: lambda body: Failure(one_line(str(body, "utf-8"))),
     Kind.STEP: _decode_step,
     Kind.ACTIONS: _decode_actions,
     Kind.WEIGHTS: _decode_weights,
-    Kind.BEGIN: _decode_begin,
-    Kind.READY: _decode_ready,
-    Kind.HALT: _decode_halt,
+    Kind.RESTORE: _decode_begin,
+    Kind.ACK: _decode_ready,
+    Kind.ABORT: _decode_halt,
 }

@@ -6,8 +6,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lockstep.errors import OutOfTurn
-from lockstep.messages import Step, Want, checked_actions, checked_weights
+from lockstep.errors import ProtocolError
+from lockstep.messages import Expect, Step, checked_actions, checked_weights
 
 
 class Robots(Protocol):
@@ -44,9 +44,9 @@ def answer(handler: Robots, step: Step, n_parameters: int | None) -> np.ndarray 
     """
     count = len(step.updates)
     actions = handler.step(step)
-    if step.want is Want.ACTIONS:
+    if step.expect is Expect.ACTIONS:
         return checked_actions(actions, count)
-    if step.want is Want.FAREWELL:
+    if step.expect is Expect.END_ROUND:
         return None
     weights = handler.upload()
     if n_parameters is None:
@@ -57,7 +57,7 @@ def answer(handler: Robots, step: Step, n_parameters: int | None) -> np.ndarray 
 class Fleet(Protocol):
     """Server side: all K robots, in robot order."""
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
         """Send each robot its record of `updates`, (K,) UPDATE; return at once where possible."""
         ...
 
@@ -82,18 +82,18 @@ class Fleet(Protocol):
         ...
 
 
-class Turn:
+class ProtocolState:
     """Where a fleet's conversation is, so that both forms of the link keep the same order.
 
-    `tell(ACTIONS)`, `actions`; `tell(WEIGHTS)`, `upload` and, if the server has a new model,
-    `download`; `tell(FAREWELL)`, and nothing more until the next round.
+    `send_step(ACTIONS)`, `actions`; `send_step(WEIGHTS)`, `upload` and, if the server has a new
+    model, `download`; `send_step(END_ROUND)`, and nothing more until the next round.
     """
 
     def __init__(self) -> None:
         """A conversation that has not begun."""
         self.tick = -1
         self.window = -1
-        self._next = "tell"
+        self._next = "send_step"
 
     def __str__(self) -> str:
         """For messages: which tick and window, or that nothing was told yet."""
@@ -101,30 +101,30 @@ class Turn:
             return "before the first step"
         return f"at tick {self.tick}, window {self.window}"
 
-    def told(self, tick: int, window: int, want: Want) -> None:
+    def on_step(self, tick: int, window: int, expect: Expect) -> None:
         """A step goes out."""
-        if self._next not in ("tell", "download"):
-            raise OutOfTurn(f"a step for tick {tick} is told where {self._next} is due, {self}")
+        if self._next not in ("send_step", "download"):
+            raise ProtocolError(f"a step for tick {tick} is told where {self._next} is due, {self}")
         self.tick, self.window = tick, window
-        self._next = _AFTER[want]
+        self._next = _AFTER[expect]
 
-    def acting(self, tick: int) -> None:
+    def on_actions(self, tick: int) -> None:
         """Actions are asked for."""
         if self._next != "actions" or tick != self.tick:
-            raise OutOfTurn(f"actions of tick {tick} where {self._next} is due, {self}")
-        self._next = "tell"
+            raise ProtocolError(f"actions of tick {tick} where {self._next} is due, {self}")
+        self._next = "send_step"
 
-    def uploading(self, window: int) -> None:
+    def on_upload(self, window: int) -> None:
         """An upload is asked for."""
         if self._next != "upload" or window != self.window:
-            raise OutOfTurn(f"an upload of window {window} where {self._next} is due, {self}")
+            raise ProtocolError(f"an upload of window {window} where {self._next} is due, {self}")
         self._next = "download"
 
-    def downloading(self, window: int) -> None:
+    def on_download(self, window: int) -> None:
         """A global model goes out."""
         if self._next != "download" or window != self.window:
-            raise OutOfTurn(f"a download of window {window} where {self._next} is due, {self}")
-        self._next = "tell"
+            raise ProtocolError(f"a download of window {window} where {self._next} is due, {self}")
+        self._next = "send_step"
 
 
-_AFTER = {Want.ACTIONS: "actions", Want.WEIGHTS: "upload", Want.FAREWELL: "a new round"}
+_AFTER = {Expect.ACTIONS: "actions", Expect.WEIGHTS: "upload", Expect.END_ROUND: "a new round"}

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lockstep.errors import LinkError, RobotFailed, described
-from lockstep.interface import Robots, Turn
+from lockstep.interface import ProtocolState, Robots
 from lockstep.messages import (
+    Expect,
     Step,
-    Want,
     checked_actions,
     checked_updates,
     checked_weights,
@@ -38,41 +38,41 @@ class LocalFleet:
         """
         self._robots = robot_count([block for block, _ in handlers])
         self._handlers = [(tuple(block), rows_of(block), handler) for block, handler in handlers]
-        self._turn = Turn()
+        self._turn = ProtocolState()
         self._answers: list[NDArray[np.int32]] = []
         self._parameters: int | None = None
         self._closed = False
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        """See `Fleet.tell`."""
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        """See `Fleet.send_step`."""
         self._check_open()
         checked_updates(updates, self._robots)
-        self._turn.told(tick, window, want)
+        self._turn.on_step(tick, window, expect)
         answers = self._answers = []
         for block, rows, handler in self._handlers:
-            step = Step(tick, window, want, updates[rows].copy())
+            step = Step(tick, window, expect, updates[rows].copy())
             with self._failing(block):
                 actions = handler.step(step)
-                if want is Want.ACTIONS:
+                if expect is Expect.ACTIONS:
                     answers.append(checked_actions(actions, len(block)))
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
         self._check_open()
-        self._turn.acting(tick)
+        self._turn.on_actions(tick)
         return self._gathered(self._answers, np.empty(self._robots, np.int32))
 
     def upload(self, window: int) -> NDArray[np.float32]:
         """See `Fleet.upload`."""
         self._check_open()
-        self._turn.uploading(window)
+        self._turn.on_upload(window)
         return self._uploaded()
 
     def download(self, window: int, weights: NDArray[np.float32]) -> None:
         """See `Fleet.download`."""
         self._check_open()
         checked_weights(weights, (2, self._parameters or 0))
-        self._turn.downloading(window)
+        self._turn.on_download(window)
         for block, _, handler in self._handlers:
             with self._failing(block):
                 handler.download(window, weights.copy())
@@ -80,7 +80,7 @@ class LocalFleet:
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`."""
         self._check_open()
-        self._turn = Turn()
+        self._turn = ProtocolState()
         for block, _, handler in self._handlers:
             with self._failing(block):
                 handler.begin(window, None if model is None else model.copy())

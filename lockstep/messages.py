@@ -2,18 +2,18 @@
 
 | message | from | carries | answer |
 |---|---|---|---|
-| `Hello` | client | version, fingerprint, robots, a token for each | `Welcome` or `Refused` |
-| `Halt` | server | nothing: whatever was under way is over | `Ready` |
-| `Begin` | server | a window to go to, and its global model | `Ready` |
-| `Ready` | client | the windows of which its robots have checkpoints | none |
-| `Step` | server | outcome of a tick, observation of the next, what is wanted | see `Want` |
+| `Hello` | client | version, fingerprint, robots, a token for each | `Welcome` or `Rejection` |
+| `Abort` | server | nothing: whatever was under way is over | `Ack` |
+| `Restore` | server | a window to go to, and its global model | `Ack` |
+| `Ack` | client | the windows of which its robots have checkpoints | none |
+| `Step` | server | outcome of a tick, observation of the next, what is wanted | see `Expect` |
 | `Actions` | client | an action for each robot, -1 where it is not driving | the next `Step` |
 | `Weights` | client | upload: (n, 2, P), online then target, of each robot | `Weights` or `Step` |
 | `Weights` | server | download: (2, P), the global model | none; a `Step` follows |
 | `Failure` | either | one line: why this side stops | none |
 
-`Halt` and `Begin` may come at any time. What the client sent before them counts no more: the server
-drops all up to the `Ready` that has their number.
+`Abort` and `Restore` may come at any time. What the client sent before them counts no more: the
+server drops all up to the `Ack` that has their number.
 """
 
 from collections.abc import Sequence
@@ -50,14 +50,14 @@ class Flag(IntFlag):
     """An action is wanted for the observation."""
 
 
-class Want(IntEnum):
+class Expect(IntEnum):
     """What the server expects next."""
 
     ACTIONS = 0
     """An action for each robot."""
     WEIGHTS = 1
     """An upload over the link."""
-    FAREWELL = 2
+    END_ROUND = 2
     """Nothing: the round ends, and the weights travel in the Flower reply."""
 
 
@@ -67,7 +67,7 @@ class Step:
 
     tick: int
     window: int
-    want: Want
+    expect: Expect
     updates: np.ndarray
 
 
@@ -109,14 +109,14 @@ class Welcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Halt:
+class Abort:
     """Drop what is under way, and say which checkpoints there are."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Begin:
+class Restore:
     """Go to the state after a window, 0 being the run's start; then take a model, if any.
 
     `model`: float32 (2, P), or None where each robot keeps its own weights.
@@ -128,16 +128,16 @@ class Begin:
 
 
 @dataclass(frozen=True, slots=True)
-class Ready:
-    """The client has done what the `Halt` or `Begin` of this number says."""
+class Ack:
+    """The client has done what the `Abort` or `Restore` of this number says."""
 
     number: int
     windows: tuple[int, ...] = ()
-    """After a `Halt`: windows of which all its robots have a checkpoint, whole and unchanged."""
+    """After an `Abort`: windows of which all its robots have a checkpoint, whole and unchanged."""
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class Rejection:
     """The client is not let in."""
 
     reason: str
@@ -150,7 +150,7 @@ class Failure:
     reason: str
 
 
-Message = Step | Actions | Weights | Hello | Welcome | Halt | Begin | Ready | Refused | Failure
+Message = Step | Actions | Weights | Hello | Welcome | Abort | Restore | Ack | Rejection | Failure
 
 
 def robot_count(blocks: Sequence[Sequence[int]]) -> int:

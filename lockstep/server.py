@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lockstep.acceptor import Admission, Door
-from lockstep.client_slots import BlockStats, Seat
+from lockstep.acceptor import Acceptor, RoundCredentials
+from lockstep.client_slots import BlockStats, ClientSlot
 from lockstep.errors import FrameError, LinkError
 from lockstep.frames import actions_in, decode, encode, step_frame
-from lockstep.messages import Want, Weights, checked_updates, checked_weights, robot_count
-from lockstep.server_round import Exchange
+from lockstep.messages import Expect, Weights, checked_updates, checked_weights, robot_count
+from lockstep.server_round import ServerRound
 
 
 class LinkServer:
@@ -54,10 +54,10 @@ class LinkServer:
         self._address = (host, int(listener.getsockname()[1]))
         self._fingerprint, self._timeout_s = fingerprint, timeout_s
         self._stats: dict[tuple[int, ...], BlockStats] = {}
-        self._exchange: Exchange | None = None
+        self._exchange: ServerRound | None = None
         self._robots = 0
         self._shape = (0, 0)
-        self._door = Door(listener, handshake_s, server_context)
+        self._door = Acceptor(listener, handshake_s, server_context)
         self._door.start()
 
     @property
@@ -84,12 +84,14 @@ class LinkServer:
         self._part("a new round has begun")
         self._robots, self._shape = robots, weights_shape
         seats = [
-            Seat(block, weights_shape, self._stats.setdefault(block, BlockStats()))
+            ClientSlot(block, weights_shape, self._stats.setdefault(block, BlockStats()))
             for block in map(tuple, blocks)
         ]
-        admission = Admission(self._fingerprint, tuple(seat.block for seat in seats), dict(tokens))
-        self._exchange = Exchange(
-            admission, seats, self._door.arrivals, self._door.bell, self._timeout_s
+        admission = RoundCredentials(
+            self._fingerprint, tuple(seat.block for seat in seats), dict(tokens)
+        )
+        self._exchange = ServerRound(
+            admission, seats, self._door.arrivals, self._door.wakeup, self._timeout_s
         )
         self._door.admission = admission
 
@@ -133,23 +135,23 @@ class LinkServer:
         """See `Fleet.begin`; once all clients are connected, whatever was under way."""
         self._open.begin(window, model if model is None else checked_weights(model, self._shape))
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        """See `Fleet.tell`."""
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        """See `Fleet.send_step`."""
         exchange = self._open
         records = checked_updates(updates, self._robots).tobytes()
-        exchange.turn.told(tick, window, want)
-        awaited = want is not Want.FAREWELL
+        exchange.turn.on_step(tick, window, expect)
+        awaited = expect is not Expect.END_ROUND
         for seat in exchange.seats.values():
-            frame = step_frame(tick, window, want, seat.records(records))
+            frame = step_frame(tick, window, expect, seat.records(records))
             exchange.send(seat, frame, awaited)
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
         exchange = self._open
-        exchange.turn.acting(tick)
+        exchange.turn.on_actions(tick)
         result = np.empty(self._robots, np.int32)
 
-        def accept(seat: Seat, frame: memoryview) -> None:
+        def accept(seat: ClientSlot, frame: memoryview) -> None:
             result[seat.rows] = actions_in(frame, tick, len(seat.block))
 
         exchange.gather(accept)
@@ -158,10 +160,10 @@ class LinkServer:
     def upload(self, window: int) -> NDArray[np.float32]:
         """See `Fleet.upload`."""
         exchange = self._open
-        exchange.turn.uploading(window)
+        exchange.turn.on_upload(window)
         result = np.empty((self._robots, *self._shape), np.float32)
 
-        def accept(seat: Seat, frame: memoryview) -> None:
+        def accept(seat: ClientSlot, frame: memoryview) -> None:
             message = decode(frame)
             if not isinstance(message, Weights) or message.window != window:
                 raise FrameError(
@@ -180,7 +182,7 @@ class LinkServer:
         """See `Fleet.download`."""
         exchange = self._open
         frame = encode(Weights(window, checked_weights(weights, self._shape)))
-        exchange.turn.downloading(window)
+        exchange.turn.on_download(window)
         for seat in exchange.seats.values():
             exchange.send(seat, frame, awaited=False)
 
@@ -194,7 +196,7 @@ class LinkServer:
         self._door.shut()
 
     @property
-    def _open(self) -> Exchange:
+    def _open(self) -> ServerRound:
         """The round that is open."""
         if self._exchange is None:
             raise LinkError("no round is open: call admit first")

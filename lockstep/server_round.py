@@ -16,27 +16,27 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from lockstep.acceptor import Admission, Arrival
-from lockstep.client_slots import Seat
+from lockstep.acceptor import AcceptedClient, RoundCredentials
+from lockstep.client_slots import ClientSlot
 from lockstep.errors import FrameError, LinkTimeout, RobotFailed, RobotLost, described, named
-from lockstep.frame_stream import Wire
+from lockstep.frame_stream import FrameStream
 from lockstep.frames import decode, encode
-from lockstep.interface import Turn
-from lockstep.messages import Begin, Failure, Halt, Ready
+from lockstep.interface import ProtocolState
+from lockstep.messages import Abort, Ack, Failure, Restore
 from lockstep.wire_format import Kind
 
 log = logging.getLogger(__name__)
 
 
-class Exchange:
+class ServerRound:
     """The seats of a round, and what goes to and fro."""
 
     def __init__(
         self,
-        admission: Admission,
-        seats: Sequence[Seat],
-        arrivals: deque[Arrival],
-        bell: socket.socket,
+        admission: RoundCredentials,
+        seats: Sequence[ClientSlot],
+        arrivals: deque[AcceptedClient],
+        wakeup: socket.socket,
         timeout_s: float,
     ) -> None:
         """A round in which all seats are free.
@@ -45,16 +45,16 @@ class Exchange:
             admission: the terms of this round; arrivals under other terms are turned away.
             seats: one for each block.
             arrivals: where the door leaves those whom it has let in.
-            bell: readable when there are new arrivals.
+            wakeup: readable when there are new arrivals.
             timeout_s: the longest wait for an answer.
         """
         self.seats = {seat.block: seat for seat in seats}
-        self.turn = Turn()
-        self._admission, self._arrivals, self._bell = admission, arrivals, bell
+        self.turn = ProtocolState()
+        self._admission, self._arrivals, self._wakeup = admission, arrivals, wakeup
         self._timeout_s = timeout_s
-        self._seat_of: dict[int, Seat] = {}
+        self._seat_of: dict[int, ClientSlot] = {}
         self._poll = select.poll()
-        self._poll.register(bell, select.POLLIN)
+        self._poll.register(wakeup, select.POLLIN)
         self._filling = True
         self._orders = 0
 
@@ -78,7 +78,7 @@ class Exchange:
             for seat in self._ready(min(rest, 0.2)):
                 self._reply(seat)
 
-    def free(self) -> list[Seat]:
+    def free(self) -> list[ClientSlot]:
         """The seats that nobody holds."""
         return [seat for seat in self.seats.values() if seat.wire is None]
 
@@ -89,31 +89,31 @@ class Exchange:
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """Send all clients to a window, and wait until they are there."""
-        self.turn = Turn()
-        self._order(Begin(self._orders + 1, window, model))
+        self.turn = ProtocolState()
+        self._order(Restore(self._orders + 1, window, model))
 
     def halt(self) -> list[int]:
         """Make all clients drop what is under way; returns the checkpoints that all have."""
-        self.turn = Turn()
-        self._order(Halt(self._orders + 1))
+        self.turn = ProtocolState()
+        self._order(Abort(self._orders + 1))
         return sorted(frozenset.intersection(*(seat.windows for seat in self.seats.values())))
 
-    def _order(self, order: Halt | Begin) -> None:
-        """Send all clients an order that ends what is under way; keeps what their `Ready` say."""
+    def _order(self, order: Abort | Restore) -> None:
+        """Send all clients an order that ends what is under way; keeps what their `Ack` say."""
         self._orders = order.number
         frame = encode(order)
         for seat in self.seats.values():
             seat.stale = True
             self.send(seat, frame, awaited=True)
 
-        def accept(seat: Seat, frame: memoryview) -> None:
+        def accept(seat: ClientSlot, frame: memoryview) -> None:
             ready = decode(frame)
-            assert isinstance(ready, Ready)
+            assert isinstance(ready, Ack)
             seat.windows = frozenset(ready.windows)
 
         self.gather(accept)
 
-    def send(self, seat: Seat, frame: bytes, awaited: bool) -> None:
+    def send(self, seat: ClientSlot, frame: bytes, awaited: bool) -> None:
         """Send a frame to a client; `awaited` says whether an answer is due."""
         if self._arrivals:
             self._admit()
@@ -129,7 +129,7 @@ class Exchange:
         seat.stats.frames_sent += 1
         seat.awaited = awaited
 
-    def gather(self, accept: Callable[[Seat, memoryview], None]) -> None:
+    def gather(self, accept: Callable[[ClientSlot, memoryview], None]) -> None:
         """Take one answer from each client, in whatever order they come.
 
         Args:
@@ -169,7 +169,7 @@ class Exchange:
                 seat.wire.finish(encode(Failure(reason)), 0.0)
                 seat.wire = None
 
-    def _ready(self, wait_s: float) -> list[Seat]:
+    def _ready(self, wait_s: float) -> list[ClientSlot]:
         """Wait for the seats that have something to read, and let arrivals in on the way."""
         ready = []
         for fd, _ in self._poll.poll(wait_s * 1000):
@@ -180,7 +180,7 @@ class Exchange:
                 self._admit()
         return ready
 
-    def _reply(self, seat: Seat) -> memoryview | None:
+    def _reply(self, seat: ClientSlot) -> memoryview | None:
         """The frame that a client has sent; None if it is not complete yet."""
         wire = seat.wire
         if wire is None:
@@ -204,15 +204,15 @@ class Exchange:
         seat.stats.frames_received += 1
         return frame
 
-    def _is_ready(self, seat: Seat, frame: memoryview) -> bool:
+    def _is_ready(self, seat: ClientSlot, frame: memoryview) -> bool:
         """Whether a client that was sent to a window is there; a failure is not waited past."""
         if frame[5] == Kind.FAILURE:
             return True
         message = decode(frame)
-        seat.stale = not (isinstance(message, Ready) and message.number == self._orders)
+        seat.stale = not (isinstance(message, Ack) and message.number == self._orders)
         return not seat.stale
 
-    def _recover(self, seat: Seat, wire: Wire, error: OSError | EOFError) -> None:
+    def _recover(self, seat: ClientSlot, wire: FrameStream, error: OSError | EOFError) -> None:
         """Go on if another connection has taken the seat; else say how the robot was lost."""
         self._admit()
         if seat.wire is not wire:
@@ -231,8 +231,8 @@ class Exchange:
                 lost a part.
         """
         with contextlib.suppress(BlockingIOError):
-            self._bell.recv(4096)
-        back: Seat | None = None
+            self._wakeup.recv(4096)
+        back: ClientSlot | None = None
         while self._arrivals:
             arrival = self._arrivals.popleft()
             if arrival.admission is not self._admission:
@@ -242,7 +242,7 @@ class Exchange:
             if seat.wire is not None:
                 log.warning("a new connection of %s replaces the old one", named(seat.block))
                 self._drop(seat)
-            seat.wire = Wire(arrival.sock, seat.limit)
+            seat.wire = FrameStream(arrival.sock, seat.limit)
             seat.awaited = seat.stale = False
             self._seat_of[seat.wire.fileno()] = seat
             self._poll.register(seat.wire, select.POLLIN)
@@ -251,19 +251,19 @@ class Exchange:
             reason = "its connection broke, and it has come back with a new one"
             raise RobotLost(back.block, str(self.turn), reason)
 
-    def _fail(self, seat: Seat, frame: memoryview) -> NoReturn:
+    def _fail(self, seat: ClientSlot, frame: memoryview) -> NoReturn:
         """A client has said why it stops."""
         words = decode(frame)
         self._drop(seat)
         raise RobotFailed(seat.block, str(self.turn), getattr(words, "reason", ""))
 
-    def _lose(self, seat: Seat, reason: str) -> NoReturn:
+    def _lose(self, seat: ClientSlot, reason: str) -> NoReturn:
         """Close a client's connection, and say why the round cannot go on."""
         log.warning("connection of %s closed %s: %s", named(seat.block), self.turn, reason)
         self._drop(seat)
         raise RobotLost(seat.block, str(self.turn), reason)
 
-    def _drop(self, seat: Seat) -> None:
+    def _drop(self, seat: ClientSlot) -> None:
         """Free a seat."""
         if seat.wire is not None:
             del self._seat_of[seat.wire.fileno()]
@@ -272,5 +272,5 @@ class Exchange:
             seat.wire = None
 
 
-def _all_named(seats: Sequence[Seat]) -> str:
+def _all_named(seats: Sequence[ClientSlot]) -> str:
     return named(sorted(robot for seat in seats for robot in seat.block))

@@ -12,9 +12,9 @@ HEADER = struct.Struct("<4sBBHI")
 STEP = struct.Struct("<QIBxH")
 ACTIONS = struct.Struct("<QI")
 WEIGHTS = struct.Struct("<IB3xIII")
-BEGIN = struct.Struct("<IIII")
-HALT = struct.Struct("<I")
-READY = struct.Struct("<IH")
+RESTORE = struct.Struct("<IIII")
+ABORT = struct.Struct("<I")
+ACK = struct.Struct("<IH")
 MOST_WINDOWS = 256
 RECORD = UPDATE.itemsize
 
@@ -29,9 +29,9 @@ class Kind(IntEnum):
     STEP = 5
     ACTIONS = 6
     WEIGHTS = 7
-    BEGIN = 8
-    READY = 9
-    HALT = 10
+    RESTORE = 8
+    ACK = 9
+    ABORT = 10
 
 
 TEXT_SIZE = HEADER.size + 4 * TEXT_LIMIT
@@ -44,9 +44,9 @@ BODY_LIMITS = {
     Kind.STEP: STEP.size + MAX_ROBOTS * RECORD,
     Kind.ACTIONS: ACTIONS.size + MAX_ROBOTS * 4,
     Kind.WEIGHTS: WEIGHTS.size + 2**30,
-    Kind.BEGIN: BEGIN.size + 2**30,
-    Kind.READY: READY.size + 4 * MOST_WINDOWS,
-    Kind.HALT: HALT.size,
+    Kind.RESTORE: RESTORE.size + 2**30,
+    Kind.ACK: ACK.size + 4 * MOST_WINDOWS,
+    Kind.ABORT: ABORT.size,
 }
 
 

@@ -16,7 +16,7 @@ from lockstep.tls import server_context
 from server_app.certificates import run_certificate
 from server_app.clients import Clients
 from server_app.nodes import wait_for_nodes
-from server_app.recovery import Lifeline
+from server_app.recovery import RecoveringTrainer
 from training import resume
 from training.checkpoint import Checkpoint
 from training.preflight import check_address, checked, checked_yaml, default_concurrency, uses_tls
@@ -61,7 +61,7 @@ def _train(grid: Grid, config: Config, folder: Path, resumed: Checkpoint | None)
         federation = dataclasses.replace(config.federation, clients=len(nodes))
         config = dataclasses.replace(config, run=run, federation=federation)
         clients = Clients(config, grid, link, nodes, certificate)
-        Lifeline(config, folder, link, clients).train(resumed)
+        RecoveringTrainer(config, folder, link, clients).train(resumed)
     finally:
         link.close("the run has ended")
 

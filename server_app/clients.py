@@ -21,7 +21,7 @@ from conf import Config, robot_network, to_yaml, waits_for_the_lost
 from lockstep import LinkServer, RobotLost
 from lockstep.errors import named, one_line
 from server_app.nodes import RoundError, held_by, placed
-from training.partition import Block, deal
+from training.partition import Block, partition_robots
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ MOST_FAILURES = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Opening:
+class RoundStart:
     """What a train message says of the state in which a round begins.
 
     Attributes:
@@ -74,14 +74,14 @@ class Clients:
         self._config, self._grid, self._link = config, grid, link
         self._certificate = certificate
         self._waits = waits_for_the_lost(config)
-        blocks = deal(config.env.robots, len(nodes))
+        blocks = partition_robots(config.env.robots, len(nodes))
         self.places: dict[Block, int] = dict(zip(blocks, nodes, strict=True))
         self.replies: dict[Block, Message] = {}
         self.round = 0
         self.shape = (2, robot_network(config).parameters)
         self.flower_bytes: dict[Block, int] = dict.fromkeys(blocks, 0)
         self.cpu_s: dict[Block, float] = dict.fromkeys(blocks, 0.0)
-        self._opening = Opening(0)
+        self._opening = RoundStart(0)
         self._tokens: dict[int, str] = {}
         self._pending: dict[Block, str] = {}
         self._sent_at: dict[Block, float] = {}
@@ -90,7 +90,7 @@ class Clients:
         self._held: dict[int, frozenset[int]] = {}
         self._tended = 0.0
 
-    def announce(self, opening: Opening) -> None:
+    def announce(self, opening: RoundStart) -> None:
         """Opens a round on the link, and sends a train message to each client that is free.
 
         One whose last message is still open gets its message once Flower says that it has ended.
@@ -117,7 +117,7 @@ class Clients:
         self._held |= held_by(self._grid, self._config, sorted(self._grid.get_node_ids()), SURVEY_S)
         return placed(list(self.places), self._held)
 
-    def reopen(self, opening: Opening) -> None:
+    def reopen(self, opening: RoundStart) -> None:
         """Lets clients that are started anew in this round begin it otherwise."""
         self._opening = opening
         self._failures = dict.fromkeys(self.places, 0)
@@ -136,7 +136,7 @@ class Clients:
                 raise RobotLost(block, where, "its process died without a word")
             raise RoundError(self._failure(block, reason))
 
-    def tend(self) -> None:
+    def supervise(self) -> None:
         """Once a second, looks after the clients that are not on the link.
 
         One that has ended is started anew on its node. A node that has gone is replaced by one

@@ -25,7 +25,7 @@ from training.checkpoint import Checkpoint, newest
 from training.partition import Block
 from training.recording.files import report_state
 from training.run_log import log_lines
-from training.session import Session
+from training.session import TrainingRun
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ EARLY = 2
 """Checkpoints of the server's up to which a robot may just not have written its first."""
 
 
-class Lifeline:
+class RecoveringTrainer:
     """Trains with the clients of a federation, through losses of them.
 
     Args:
@@ -50,7 +50,7 @@ class Lifeline:
         self._config, self._folder, self._clients = config, folder, clients
         self._link = link
         self._fleet = FlowerFleet(config, link, clients, self._on_round)
-        self._session: Session | None = None
+        self._session: TrainingRun | None = None
         self._losses: list[dict[str, Any]] = []
         self._in_vain = 0
 
@@ -79,7 +79,7 @@ class Lifeline:
 
     def _play(self, resumed: Checkpoint | None) -> None:
         """Trains from a checkpoint on, or from the start, until the end or a loss."""
-        self._session = Session(self._config, self._folder, resumed, self._losses)
+        self._session = TrainingRun(self._config, self._folder, resumed, self._losses)
         self._session.recorder.round = self._clients.round
         self._session.train(self._fleet, self._fleet.costs, self._fleet.clients)
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config, waits_for_the_lost, windows_per_round
-from lockstep import LinkServer, LinkTimeout, RobotLost, Want
+from lockstep import Expect, LinkServer, LinkTimeout, RobotLost
 from lockstep.errors import named
-from server_app.clients import Clients, Opening
+from server_app.clients import Clients, RoundStart
 from server_app.nodes import POLL_S, RoundError
 from training.partition import Block
 from training.recording.costs import Costs
@@ -83,14 +83,14 @@ class FlowerFleet:
 
     # --- The conversation -------------------------------------------------------------------------
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        """See ``Fleet.tell``: opens a round where none is open, and ends it where it is full."""
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        """See ``Fleet.send_step``: opens a round where none is open, ends it where it is full."""
         if not self._open:
             self._open_round(window - 1)
-        if want is Want.WEIGHTS and window - self._base >= self._per_round:
-            want = Want.FAREWELL
-        self._farewell = want is Want.FAREWELL
-        self._link.tell(tick, window, want, updates)
+        if expect is Expect.WEIGHTS and window - self._base >= self._per_round:
+            expect = Expect.END_ROUND
+        self._farewell = expect is Expect.END_ROUND
+        self._link.send_step(tick, window, expect, updates)
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See ``Fleet.actions``."""
@@ -140,17 +140,17 @@ class FlowerFleet:
         self._clients.places |= places or {}
         deadline = time.monotonic() + self._config.federation.loss_timeout_s
         if not self._open or self._farewell:
-            self._announce(Opening(0, resumed=True))
+            self._announce(RoundStart(0, resumed=True))
         else:
-            self._clients.reopen(Opening(0, resumed=True))
+            self._clients.reopen(RoundStart(0, resumed=True))
         while True:
             try:
-                self._link.wait_connected(deadline - time.monotonic(), self._clients.tend)
+                self._link.wait_connected(deadline - time.monotonic(), self._clients.supervise)
                 return self._link.halt()
             except RobotLost as loss:
                 log.warning("%s, while others were awaited", loss)
 
-    def _announce(self, opening: Opening) -> None:
+    def _announce(self, opening: RoundStart) -> None:
         self._open, self._farewell = True, False
         self._on_round(self._clients.round + 1)
         self._clients.announce(opening)
@@ -159,12 +159,12 @@ class FlowerFleet:
         """Sends a train message to each client and waits until all are on the link."""
         began = time.perf_counter()
         self._base, model, self._model = window, self._model, None
-        self._announce(Opening(window, model))
+        self._announce(RoundStart(window, model))
         clients = self._clients
         try:
             self._link.wait_connected(
                 self._config.runtime.start_timeout_s,
-                clients.tend if self._waits else clients.collect,
+                clients.supervise if self._waits else clients.collect,
             )
         except LinkTimeout as error:
             raise RoundError(

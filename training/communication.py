@@ -11,7 +11,7 @@ from typing import Any
 
 from conf import Config, flower_clients, robot_network
 from lockstep.wire_format import actions_size, step_size
-from training.partition import deal
+from training.partition import partition_robots
 
 NUMBER = 4
 """Bytes of a float32 or int32."""
@@ -93,7 +93,7 @@ def _numbers(config: Config) -> int:
 
 def _lockstep(config: Config) -> int:
     """Bytes of a window's steps and actions on the link."""
-    blocks = deal(config.env.robots, flower_clients(config))
+    blocks = partition_robots(config.env.robots, flower_clients(config))
     steps = sum(step_size(len(block)) for block in blocks)
     answers = sum(actions_size(len(block)) for block in blocks)
     every = config.federation.every

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config
-from env.episode import EpisodeTally
-from env.world import Outcome, World
-from lockstep import UPDATE, Flag, Fleet, Want
+from env.episode import EpisodeAccumulator
+from env.world import StepResult, World
+from lockstep import UPDATE, Expect, Flag, Fleet
 from storage.generators import generator_state, restore_generator
 from training.aggregation.aggregator import Aggregator
 from training.checkpoint import flat, part
-from training.controllers.access_point import PhaseAgent
+from training.controllers.access_point import RisController
 from training.recording.progress import Observer, Progress
 
 # As NumPy's own numbers: it would look for attributes on an enum's member at every use.
@@ -46,7 +46,7 @@ class Coordinator:
         self,
         config: Config,
         world: World,
-        ap: PhaseAgent,
+        ap: RisController,
         fleet: Fleet,
         aggregator: Aggregator | None,
         observer: Observer,
@@ -79,7 +79,7 @@ class Coordinator:
         """
         model, final = initial, False
         self._world.reset()
-        self._tally = EpisodeTally(self._world)
+        self._tally = EpisodeAccumulator(self._world)
         if resumed is not None:
             self._restore(resumed)
             model = initial if self._model is None else self._model
@@ -134,18 +134,18 @@ class Coordinator:
         """Plays the ticks of a window; returns whether the run ends with it."""
         updates = self._updates()
         self._observe_into(updates)
-        self._fleet.tell(self.progress.tick, window, Want.ACTIONS, updates)
+        self._fleet.send_step(self.progress.tick, window, Expect.ACTIONS, updates)
         if not self._started:
             self._observer.on_start()
             self._started = True
         for left in reversed(range(self._config.federation.every)):
             chosen = self._ap.act(self._state, self.progress.tick)
             direction, level = self._robots_actions()
-            phase = self._ap.settle(self._world, chosen.astype(np.int64), level)
+            phase = self._ap.finalize_phase(self._world, chosen.astype(np.int64), level)
             outcome = self._world.step(phase, direction, level)
             self.progress.tick += 1
-            want = self._pass_on(window, phase, outcome, last=left == 0)
-        return want is Want.FAREWELL
+            expect = self._pass_on(window, phase, outcome, last=left == 0)
+        return expect is Expect.END_ROUND
 
     def _robots_actions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Waits for the robots' actions, checked: directions and power levels, (1, K) each."""
@@ -162,30 +162,30 @@ class Coordinator:
         return space.decode(chosen[None])
 
     def _pass_on(
-        self, window: int, phase: NDArray[np.int64], outcome: Outcome, *, last: bool
-    ) -> Want:
+        self, window: int, phase: NDArray[np.int64], outcome: StepResult, *, last: bool
+    ) -> Expect:
         """Tells the robots what their actions brought, and learns from it while they do.
 
         Returns:
             What the robots were asked for.
         """
         updates, seen = self._updates(outcome), self._state
-        following, ended = None, outcome.terminated[0] or outcome.truncated[0]
+        next_observation, ended = None, outcome.terminated[0] or outcome.truncated[0]
         if ended:  # what is counted and seen of this episode comes before the next one begins
-            following = self._count(outcome)
+            next_observation = self._count(outcome)
             self._end_episode()
         self._observe_into(updates)
-        want = Want.ACTIONS
+        expect = Expect.ACTIONS
         if last:
-            want = Want.FAREWELL if self._is_over() else Want.WEIGHTS
-        self._fleet.tell(self.progress.tick, window, want, updates)
-        if following is None:
-            following = self._count(outcome)
-        self._state = self._world.global_observation() if ended else following
-        self._ap.learn(seen, phase, outcome, following)
-        return want
+            expect = Expect.END_ROUND if self._is_over() else Expect.WEIGHTS
+        self._fleet.send_step(self.progress.tick, window, expect, updates)
+        if next_observation is None:
+            next_observation = self._count(outcome)
+        self._state = self._world.global_observation() if ended else next_observation
+        self._ap.learn(seen, phase, outcome, next_observation)
+        return expect
 
-    def _count(self, outcome: Outcome) -> NDArray[np.float32]:
+    def _count(self, outcome: StepResult) -> NDArray[np.float32]:
         """Adds up what a slot brought; returns the access point's state that it led to."""
         self._tally.add(outcome)
         return self._world.global_observation()
@@ -194,7 +194,7 @@ class Coordinator:
         self.progress.episodes += 1
         self._observer.on_episode(self.progress, self._tally.measures())
         self._world.reset()
-        self._tally = EpisodeTally(self._world)
+        self._tally = EpisodeAccumulator(self._world)
 
     def _is_over(self) -> bool:
         train = self._config.train
@@ -204,7 +204,7 @@ class Coordinator:
         late = train.max_ticks is not None and self.progress.tick >= train.max_ticks
         return enough or late or self.stopped
 
-    def _updates(self, outcome: Outcome | None = None) -> np.ndarray:
+    def _updates(self, outcome: StepResult | None = None) -> np.ndarray:
         """The robots' records, so far with what an outcome told them, if there is one."""
         world = self._world
         updates = np.zeros(world.robots, dtype=UPDATE)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config
-from env.episode import EpisodeMeasures, EpisodeTally
+from env.episode import EpisodeAccumulator, EpisodeMeasures
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
-from training.controllers.policies import Exploration, Weights, frozen_policy
+from training.controllers.policies import Exploration, PolicyWeights, frozen_policy
 
 Served = tuple[NDArray[np.int64], NDArray[np.int64]]
 """The AP's actions, shape (B,), and power levels, shape (B, K)."""
@@ -75,9 +75,9 @@ class Evaluator:
         world = self.world
         fading = [stream(self._seed, Stream.EVALUATION, 2) for _ in epsilons]
         world.reset(np.concatenate([self.starts] * len(epsilons)), fading)
-        tally = EpisodeTally(world)
+        tally = EpisodeAccumulator(world)
         exploration = Exploration(self._seed, epsilons, self.episodes)
-        weights = Weights(robots, ap)
+        weights = PolicyWeights(robots, ap)
         if trace is not None:
             trace.append(world.cell)
         for _ in range(world.config.motion.max_slots):

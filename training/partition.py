@@ -8,7 +8,7 @@ Block = tuple[int, ...]
 """The robots of one client."""
 
 
-def deal(robots: int, clients: int) -> list[Block]:
+def partition_robots(robots: int, clients: int) -> list[Block]:
     """Deals robots to clients in blocks of neighbours, as even as can be.
 
     Args:

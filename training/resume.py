@@ -73,7 +73,7 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
     return config, checkpoint
 
 
-def standing(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None:
+def find_run_state(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None:
     """How far a run has come that is wanted whole.
 
     Args:

@@ -24,7 +24,7 @@ from storage.checkpoint_layout import STATE, owner
 from training.aggregation.strategies import build_aggregator
 from training.checkpoint import Checkpoint, save_server
 from training.communication import per_tick, waiting
-from training.controllers.schemes import build_phase_agent
+from training.controllers.schemes import build_ris_controller
 from training.coordinator import Coordinator
 from training.evaluation import Evaluator
 from training.recording.costs import Costs
@@ -40,7 +40,7 @@ LAST_EVALUATIONS = 5
 FINAL_EPSILON = 0.05
 
 
-class Session:
+class TrainingRun:
     """One training run.
 
     Args:
@@ -70,7 +70,7 @@ class Session:
         self._cpu_before = time.process_time() - spent["cpu_s"]
         scenario = Scenario.drawn(config.env, config.seed)
         self.world = World(scenario, stream(config.seed, Stream.WORLD))
-        self.ap = build_phase_agent(config, self.world)
+        self.ap = build_ris_controller(config, self.world)
         self.evaluator = Evaluator(config, scenario)
         marks = None if resumed is None else resumed.meta["marks"]
         self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s, marks)

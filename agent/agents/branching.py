@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from agent.agents.stack import ReplayAgents
 from agent.config import AgentConfig
 from agent.exploration import NO_ACTION
-from agent.learning.buffers import Scratch
+from agent.learning.buffers import Workspace
 from agent.learning.gradients import Backward, Forward
 from agent.learning.heads import HeadRows, Heads
 from agent.learning.learner import Gradients, Learner
@@ -107,7 +107,7 @@ class BranchingLearner(Learner):
         """Reserves the network's rows, all zero."""
         self._heads, self._layout = heads, layout
         super().__init__(shape, config, 0.0, 1, width=layout.width)
-        self._scratch = Scratch(shape, config, 2, 1)
+        self._scratch = Workspace(shape, config, 2, 1)
 
     def _new_span(self, start: int, stop: int) -> Gradients:
         return _HeadGradients(
@@ -123,7 +123,7 @@ class BranchingLearner(Learner):
 
 
 class _HeadGradients:
-    """The arithmetic of one gradient step, `agent.learning.gradients.Span`'s for several heads."""
+    """The arithmetic of one gradient step, `GradientStep`'s for several heads."""
 
     def __init__(
         self,
@@ -134,7 +134,7 @@ class _HeadGradients:
         gradient: torch.Tensor,
         layout: HeadRows,
         batch: FloatArray,
-        scratch: Scratch,
+        scratch: Workspace,
     ) -> None:
         """Plans the step of one network's rows (1, 2, P) on a batch (B, row width)."""
         size, inputs = len(batch), shape.inputs
@@ -145,7 +145,7 @@ class _HeadGradients:
         if scratch.chooser is not None:
             self._chooser = Forward(shape, weights[:, :1], scratch.chooser)
         read = self._forward.activations
-        self._backward = Backward(shape, weights[:, 0], gradient, read, scratch.slopes)
+        self._backward = Backward(shape, weights[:, 0], gradient, read, scratch.grads)
         self._sample = np.arange(size)
 
     def run(self) -> FloatArray:
@@ -156,10 +156,10 @@ class _HeadGradients:
         active = rows[layout.active]
         places = rows[layout.actions].astype(np.intp) + self._heads.starts[:, None]
         error = self._forward.q[0, 0][places, self._sample] - self._targets(active)
-        losses, slope = huber(error, self._config.huber_delta)
+        losses, grad = huber(error, self._config.huber_delta)
         share = active / np.float32(active.size)
-        self._backward.slope.fill(0)
-        self._backward.slope[0, places, self._sample] = slope * share
+        self._backward.grad.fill(0)
+        self._backward.grad[0, places, self._sample] = grad * share
         self._backward.run()
         return np.array([(losses * share).sum()], np.float32)
 

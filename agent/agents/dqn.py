@@ -15,7 +15,7 @@ from agent.config import AgentConfig
 from agent.exploration import explore
 from agent.learning.learner import Learner
 from agent.networks.mlp import FloatArray, NetworkShape
-from agent.replay.n_step import ReturnWindow
+from agent.replay.n_step import NStepBuilder
 from agent.replay.uniform import RowLayout
 
 
@@ -48,7 +48,7 @@ class DQN(ReplayAgents):
         self._layout = RowLayout(shape.inputs)
         if config.n_step > 1 and discount:  # without a discount nothing further is ahead
             self._windows = [
-                ReturnWindow(self._layout, config.n_step, discount) for _ in self._generators
+                NStepBuilder(self._layout, config.n_step, discount) for _ in self._generators
             ]
 
     def act(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from agent.config import AgentConfig
 from agent.learning.interface import Learns
 from agent.networks.mlp import FloatArray, NetworkShape
-from agent.replay.n_step import ReturnWindow
+from agent.replay.n_step import NStepBuilder
 from agent.replay.prioritised import PrioritisedReplay
 from agent.replay.uniform import Replay
 from storage.generators import generator_state, restore_generator
@@ -50,7 +50,7 @@ class ReplayAgents:
         self._generators = list(generators)
         width = learner.batch.shape[-1]
         self._replays = [self._new_replay(agent, width) for agent in range(len(self))]
-        self._windows: list[ReturnWindow] = []
+        self._windows: list[NStepBuilder] = []
         self._rows: FloatArray = np.zeros((len(self), width), np.float32)
         self.online: FloatArray = learner.weights[:, 0]
         self.target: FloatArray = learner.weights[:, 1]
@@ -69,7 +69,7 @@ class ReplayAgents:
         if weights.shape not in (each[1:], each):
             raise ValueError(f"weights have shape {weights.shape}, not {each[1:]} or {each}")
         self._learner.weights[:] = weights
-        self._learner.anchor[:] = self.online
+        self._learner.proximal_reference[:] = self.online
 
     def weights(self) -> FloatArray:
         """A copy of the online and target networks, shape (n, 2, P)."""
@@ -121,7 +121,7 @@ class ReplayAgents:
             self._replays[agent].sample(self._generators[agent], self._learner.batch[agent])
         losses = self._learner.update(learning)
         for agent in learners:
-            self._replays[agent].learned()
+            self._replays[agent].update_priorities()
         return losses
 
     def agent_state(self, agent: int) -> State:
@@ -137,10 +137,10 @@ class ReplayAgents:
         window = {"window": self._windows[agent].rows()} if self._windows else {}
         return {
             **window,
-            **replay.marks(),
+            **replay.extra_state(),
             "weights": learner.weights[agent].copy(),
             "moments": learner.moments[agent].copy(),
-            "anchor": learner.anchor[agent].copy(),
+            "anchor": learner.proximal_reference[agent].copy(),
             "updates": learner.steps[agent].astype(np.int64).reshape(1),
             "replay": replay.rows(),
             "stored": np.array([replay.added], np.int64),
@@ -158,7 +158,7 @@ class ReplayAgents:
         for name, place in (
             ("weights", learner.weights[agent]),
             ("moments", learner.moments[agent]),
-            ("anchor", learner.anchor[agent]),
+            ("anchor", learner.proximal_reference[agent]),
         ):
             if state[name].shape != place.shape:
                 raise ValueError(
@@ -169,7 +169,10 @@ class ReplayAgents:
         if self._windows:
             self._windows[agent].restore(state["window"])
         learner.weights[agent], learner.moments[agent] = state["weights"], state["moments"]
-        learner.anchor[agent], learner.steps[agent] = state["anchor"], state["updates"][0]
+        learner.proximal_reference[agent], learner.steps[agent] = (
+            state["anchor"],
+            state["updates"][0],
+        )
         restore_generator(self._generators[agent], state["generator"])
 
     def state(self) -> State:

@@ -29,7 +29,7 @@ def aligned_zeros(agents: int, *shape: int) -> torch.Tensor:
     return torch.zeros(agents, padded)[:, :size].view(agents, *shape)
 
 
-class Scratch:
+class Workspace:
     """Buffers of one gradient step of up to n agents; what they hold matters within it alone.
 
     A learner takes its steps in the same few, one after the other: they stay in a core's cache.
@@ -37,7 +37,7 @@ class Scratch:
     Attributes:
         layers: of the forward, see `_layers`.
         chooser: likewise, of double DQN's choice of actions; None without it.
-        slopes: of each layer's outputs, shapes (n, outputs, B).
+        grads: of each layer's outputs, shapes (n, outputs, B).
     """
 
     def __init__(self, shape: NetworkShape, config: AgentConfig, passes: int, agents: int) -> None:
@@ -53,7 +53,7 @@ class Scratch:
         double = config.double and passes == 2
         self.layers = _layers(shape, agents, passes, size)
         self.chooser = _layers(shape, agents, 1, size) if double else None
-        self.slopes = [aligned_zeros(agents, width, size) for _, width in shape.layers]
+        self.grads = [aligned_zeros(agents, width, size) for _, width in shape.layers]
 
 
 def _layers(shape: NetworkShape, agents: int, passes: int, batch_size: int) -> list[torch.Tensor]:

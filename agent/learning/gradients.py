@@ -19,10 +19,10 @@ import numpy as np
 import torch
 
 from agent.config import AgentConfig
-from agent.learning.buffers import Scratch, aligned_zeros
+from agent.learning.buffers import Workspace, aligned_zeros
 from agent.learning.losses import double_dqn_values, dqn_values, huber, td_target
 from agent.networks.mlp import FloatArray, NetworkShape
-from agent.replay.prioritised import Weighing
+from agent.replay.prioritised import ImportanceWeights
 from agent.replay.uniform import RowLayout
 
 _TORCH_FROM = 1 << 20  # multiply-adds of a product that torch does sooner than NumPy ...
@@ -81,7 +81,7 @@ class Backward:
     """The way back through stacked networks, from the loss's slope at their results.
 
     Attributes:
-        slope: to fill, shape (n, actions, B).
+        grad: to fill, shape (n, actions, B).
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Backward:
         online: torch.Tensor,
         gradient: torch.Tensor,
         activations: Sequence[torch.Tensor],
-        slopes: Sequence[torch.Tensor],
+        grads: Sequence[torch.Tensor],
     ) -> None:
         """Plans the steps from the last layer to the first.
 
@@ -99,30 +99,30 @@ class Backward:
             online: their rows, shape (n, P).
             gradient: where theirs goes, shape (n, P).
             activations: of their forward, whose first pass is that of `online`.
-            slopes: buffers for at least n agents.
+            grads: buffers for at least n agents.
         """
-        slopes = [slope[: len(online)] for slope in slopes]
+        grads = [grad[: len(online)] for grad in grads]
         weights, gradients = shape.matrices(online), shape.matrices(gradient)
-        self.slope: FloatArray = slopes[-1].numpy()
+        self.grad: FloatArray = grads[-1].numpy()
         self._steps: list[Step] = []
         if (head := shape.head) is not None:
-            self.slope = aligned_zeros(len(online), shape.actions, slopes[-1].shape[-1]).numpy()
-            self._steps.append(partial(head.backward, self.slope, slopes[-1].numpy()))
-        for depth in reversed(range(len(slopes))):
-            read, slope = activations[depth][:, 0], slopes[depth]
-            self._steps.append(_product(read, slope.mT, gradients[depth], _TORCH_GRADIENT_FROM))
+            self.grad = aligned_zeros(len(online), shape.actions, grads[-1].shape[-1]).numpy()
+            self._steps.append(partial(head.backward, self.grad, grads[-1].numpy()))
+        for depth in reversed(range(len(grads))):
+            read, grad = activations[depth][:, 0], grads[depth]
+            self._steps.append(_product(read, grad.mT, gradients[depth], _TORCH_GRADIENT_FROM))
             if depth > 0:
-                before, hidden = slopes[depth - 1], read[:, :-1]
-                self._steps.append(_product(weights[depth][:, :-1], slope, before, _TORCH_FROM))
+                before, hidden = grads[depth - 1], read[:, :-1]
+                self._steps.append(_product(weights[depth][:, :-1], grad, before, _TORCH_FROM))
                 self._steps.append(partial(_relu_backward, before, hidden, 0, grad_input=before))
 
     def run(self) -> None:
-        """Computes the gradient from `slope`."""
+        """Computes the gradient from `grad`."""
         for step in self._steps:
             step()
 
 
-class Span:
+class GradientStep:
     """Neighbouring agents that learn together: their views and steps, planned once."""
 
     def __init__(
@@ -133,8 +133,8 @@ class Span:
         weights: torch.Tensor,
         gradient: torch.Tensor,
         batch: FloatArray,
-        scratch: Scratch,
-        weighing: Weighing | None = None,
+        scratch: Workspace,
+        weighing: ImportanceWeights | None = None,
     ) -> None:
         """Plans a gradient step.
 
@@ -160,9 +160,9 @@ class Span:
         if scratch.chooser is not None:
             self._chooser = Forward(shape, weights[:, :1], scratch.chooser)
         read = self._forward.activations
-        self._backward = Backward(shape, weights[:, 0], gradient, read, scratch.slopes)
+        self._backward = Backward(shape, weights[:, 0], gradient, read, scratch.grads)
         self._flat_q, self._q_at = _flat(self._forward.q)
-        self._flat_slope, self._slope_at = _flat(self._backward.slope)
+        self._flat_grad, self._grad_at = _flat(self._backward.grad)
 
     def run(self) -> FloatArray:
         """Computes the gradient on the batch that stands in its place.
@@ -176,12 +176,12 @@ class Span:
         action *= self._size
         error = self._flat_q.take(action + self._q_at)
         error -= self._targets()
-        losses, slope = huber(error, self._config.huber_delta)
+        losses, grad = huber(error, self._config.huber_delta)
         if self._weighing is not None:
-            self._weighing.weigh(error, losses, slope)
-        slope *= 1 / self._size
-        self._flat_slope.fill(0)
-        self._flat_slope[action + self._slope_at] = slope
+            self._weighing.weigh(error, losses, grad)
+        grad *= 1 / self._size
+        self._flat_grad.fill(0)
+        self._flat_grad[action + self._grad_at] = grad
         self._backward.run()
         mean: FloatArray = np.add.reduce(losses, axis=1)
         mean *= 1 / self._size

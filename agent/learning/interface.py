@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.networks.mlp import FloatArray
-from agent.replay.prioritised import Weighing
+from agent.replay.prioritised import ImportanceWeights
 
 
 class Learns(Protocol):
@@ -21,9 +21,9 @@ class Learns(Protocol):
     weights: FloatArray
     moments: FloatArray
     steps: FloatArray
-    anchor: FloatArray
+    proximal_reference: FloatArray
     batch: FloatArray
-    weighing: Weighing | None
+    weighing: ImportanceWeights | None
 
     def update(self, learning: Sequence[bool]) -> FloatArray:
         """See `Learner.update`."""

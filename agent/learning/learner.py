@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from agent.config import AgentConfig
 from agent.exploration import GREEDY
-from agent.learning.buffers import Scratch, aligned_zeros
-from agent.learning.gradients import Span
+from agent.learning.buffers import Workspace, aligned_zeros
+from agent.learning.gradients import GradientStep
 from agent.networks.mlp import FloatArray, NetworkShape, forward
-from agent.replay.prioritised import Weighing
+from agent.replay.prioritised import ImportanceWeights
 from agent.replay.uniform import RowLayout
 
 _BETAS = (0.9, 0.999)
@@ -49,7 +49,7 @@ class Learner:
         weights: online and target networks, shape (n, 2, P).
         moments: Adam's first and second moments, shape (n, 2, P).
         steps: updates each agent has taken, shape (n,).
-        anchor: the weights to which FedProx pulls, shape (n, P).
+        proximal_reference: the weights to which FedProx pulls, shape (n, P).
         batch: the sampled transitions' place, shape (n, B, row width).
         weighing: what each of them weighs, and their errors; None without priorities.
     """
@@ -84,20 +84,20 @@ class Learner:
         self.moments: FloatArray = self._moments.numpy()
         self.steps: FloatArray = self._steps[:, 0].numpy()
         self.gradient: FloatArray = self._gradient[:, 0].numpy()
-        self.anchor: FloatArray = _rows(agents, 1, size)[:, 0].numpy()
+        self.proximal_reference: FloatArray = _rows(agents, 1, size)[:, 0].numpy()
         width = width or RowLayout(shape.inputs).width
         self.batch: FloatArray = aligned_zeros(agents, config.batch_size, width).numpy()
-        self.weighing: Weighing | None = None
+        self.weighing: ImportanceWeights | None = None
         if config.priority.alpha:
             each = (aligned_zeros(agents, config.batch_size).numpy() for _ in range(2))
-            self.weighing = Weighing(*each)
+            self.weighing = ImportanceWeights(*each)
         self._online = list(self._weights[:, 0])
         self._gradients = list(self._gradient[:, 0])
         self._first, self._second = list(self._moments[:, 0]), list(self._moments[:, 1])
         self._step_counts = list(self._steps[:, 0])
         self._layers = shape.views(self.weights[:, 0])
         passes = 2 if discount else 1
-        self._scratch = Scratch(shape, config, passes, min(agents, _MOST_ABREAST))
+        self._scratch = Workspace(shape, config, passes, min(agents, _MOST_ABREAST))
         self._spans: dict[tuple[int, int], Gradients] = {}
 
     def update(self, learning: Sequence[bool]) -> FloatArray:
@@ -110,18 +110,18 @@ class Learner:
             Mean losses, nan for those who do not learn, shape (n,).
         """
         losses = np.full(len(self._online), np.nan, np.float32)
-        for start, stop in neighbours(learning, _MOST_ABREAST):
+        for start, stop in contiguous_runs(learning, _MOST_ABREAST):
             span = self._spans.get((start, stop))
             if span is None:
                 span = self._spans[start, stop] = self._new_span(start, stop)
             losses[start:stop] = span.run()
             if self._mu:
-                pull = self.weights[start:stop, 0] - self.anchor[start:stop]
+                pull = self.weights[start:stop, 0] - self.proximal_reference[start:stop]
                 pull *= self._mu
                 self.gradient[start:stop] += pull
             self._descend(start, stop)
             if self._config.target.tau is not None:
-                self._follow(start, stop, self._config.target.tau)
+                self._polyak_update(start, stop, self._config.target.tau)
         return losses
 
     def copy_to_target(self, agent: int) -> None:
@@ -142,7 +142,7 @@ class Learner:
 
     def _new_span(self, start: int, stop: int) -> Gradients:
         part = slice(start, stop)
-        return Span(
+        return GradientStep(
             self._shape,
             self._config,
             self._discount,
@@ -184,7 +184,7 @@ class Learner:
             maximize=False,
         )
 
-    def _follow(self, start: int, stop: int, tau: float) -> None:
+    def _polyak_update(self, start: int, stop: int, tau: float) -> None:
         """Soft target, Lillicrap et al., ICLR 2016; NumPy's plain steps round alike anywhere."""
         online, target = self.weights[start:stop, 0], self.weights[start:stop, 1]
         gap = online - target
@@ -208,7 +208,7 @@ def learning_rate_at(config: AgentConfig, updates: int) -> float:
     return config.learning_rate + share * (config.learning_rate_end - config.learning_rate)
 
 
-def neighbours(chosen: Sequence[bool], most: int) -> Iterator[tuple[int, int]]:
+def contiguous_runs(chosen: Sequence[bool], most: int) -> Iterator[tuple[int, int]]:
     """Runs [start, stop) of chosen agents that stand side by side.
 
     Args:

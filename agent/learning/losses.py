@@ -75,8 +75,8 @@ def huber(error: FloatArray, delta: float) -> tuple[FloatArray, FloatArray]:
     Returns:
         The loss of each sample and its derivative by the error, both of shape (n, B).
     """
-    slope: FloatArray = np.minimum(np.maximum(error, -delta), delta)
-    loss: FloatArray = slope * np.float32(-0.5)
+    grad: FloatArray = np.minimum(np.maximum(error, -delta), delta)
+    loss: FloatArray = grad * np.float32(-0.5)
     loss += error
-    loss *= slope
-    return loss, slope
+    loss *= grad
+    return loss, grad

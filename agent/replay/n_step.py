@@ -14,7 +14,7 @@ from agent.networks.mlp import FloatArray
 from agent.replay.uniform import RowLayout
 
 
-class ReturnWindow:
+class NStepBuilder:
     """One agent's newest transitions, which wait until n slots have passed since the first.
 
     A transition that leaves the window has the reward sum_i discount^i r_i of the m slots that it

@@ -22,7 +22,7 @@ LEAST_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
-class Weighing:
+class ImportanceWeights:
     """What each sample of a batch weighs in the loss, and where its error is put.
 
     Attributes:
@@ -33,15 +33,15 @@ class Weighing:
     importance: FloatArray
     error: FloatArray
 
-    def weigh(self, error: FloatArray, losses: FloatArray, slope: FloatArray) -> None:
+    def weigh(self, error: FloatArray, losses: FloatArray, grad: FloatArray) -> None:
         """Notes the errors; multiplies losses and slopes in place, all of shape (n, B)."""
         np.copyto(self.error, error)
         losses *= self.importance
-        slope *= self.importance
+        grad *= self.importance
 
-    def part(self, start: int, stop: int) -> Weighing:
+    def part(self, start: int, stop: int) -> ImportanceWeights:
         """That of the agents [start, stop)."""
-        return Weighing(self.importance[start:stop], self.error[start:stop])
+        return ImportanceWeights(self.importance[start:stop], self.error[start:stop])
 
 
 class PrioritisedReplay(Replay):
@@ -92,13 +92,13 @@ class PrioritisedReplay(Replay):
         weight = (held * chance) ** -self._config.beta
         self._importance[:] = weight / weight.max()
 
-    def learned(self) -> None:
+    def update_priorities(self) -> None:
         """Takes the errors of the batch drawn last as its new priorities."""
         shares = (np.abs(self._error.astype(np.float64)) + LEAST_ERROR) ** self._config.alpha
         self._shares[self._drawn] = shares
         self._largest = max(self._largest, float(shares.max()))
 
-    def marks(self) -> dict[str, NDArray[np.generic]]:
+    def extra_state(self) -> dict[str, NDArray[np.generic]]:
         """What the chances are in proportion to, and the largest so far as the last number."""
         return {"priorities": np.append(self._shares[: len(self)], self._largest)}
 

@@ -103,10 +103,10 @@ class Replay:
         # "clip" spares a copy; no place can lie outside, as random() stays below 1.
         self._rows.take(places.astype(np.intp), axis=0, out=out, mode="clip")
 
-    def learned(self) -> None:
+    def update_priorities(self) -> None:
         """Told that the batch drawn last was learned from: without priorities nothing changes."""
 
-    def marks(self) -> dict[str, NDArray[np.generic]]:
+    def extra_state(self) -> dict[str, NDArray[np.generic]]:
         """What is known of the transitions besides their rows, by name: here nothing."""
         return {}
 

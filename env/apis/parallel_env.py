@@ -16,7 +16,7 @@ from env.geometry.floor import UNREACHABLE
 from env.mdp import lateness
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from env.world import Outcome, World
+from env.world import StepResult, World
 
 if TYPE_CHECKING:
     from env.rendering.frames import Picture
@@ -145,7 +145,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.agents: list[str] = []
         self._centres_m = self.world.floor.centres()
         self._way: list[NDArray[np.int64]] = []
-        self._outcome: Outcome | None = None
+        self._outcome: StepResult | None = None
         self._picture: Picture | None = None
         self._make_spaces()
 

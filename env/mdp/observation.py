@@ -19,7 +19,7 @@ def scaled_channel(channel_db: NDArray[np.float32]) -> NDArray[np.float32]:
     return (channel_db + CHANNEL_MIDDLE_DB) / CHANNEL_SPREAD_DB
 
 
-class Observer:
+class ObservationEncoder:
     """Builds observations from cells and measured channels; knows the room, not the robots.
 
     A robot's own state is q / 15 - 1, (hbar_dB + 70) / 20 and, with
@@ -63,7 +63,7 @@ class Observer:
             state[..., 3:5] = (self._centres[destination] - position) / self._size_m
         return state
 
-    def of_all(
+    def global_observation(
         self,
         local: NDArray[np.float32],
         channel: NDArray[np.complex128],

@@ -65,7 +65,7 @@ class RewardFunction:
         self._config = config
         self._local = plugins.own_reward(config) or local_reward
 
-    def local(
+    def of_robots(
         self,
         rate: NDArray[np.float64],
         before_m: NDArray[np.float64],
@@ -76,7 +76,9 @@ class RewardFunction:
         counted = metric(rate, self._config)
         return self._local(counted, before_m, after_m, arrived, self._config.reward)
 
-    def of_all(self, rate: NDArray[np.float64], drove: NDArray[np.bool_]) -> NDArray[np.float64]:
+    def of_access_point(
+        self, rate: NDArray[np.float64], drove: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
         """r_G of the robots that drove, ``global_reward``; both of shape (..., K)."""
         counted = only(drove, metric(rate, self._config))
         return global_reward(counted.sum(axis=-1), self._config.reward)

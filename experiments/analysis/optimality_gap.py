@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from env.episode import EpisodeMeasures, EpisodeTally
+from env.episode import EpisodeAccumulator, EpisodeMeasures
 from env.oracles import per_slot
 from env.oracles.trajectory import best_trajectory, shortest_ways
 from env.seeding import Stream, stream
@@ -84,7 +84,7 @@ def _played(
 ) -> EpisodeMeasures:
     """Plays shortest ways with phases and powers of a kind."""
     world.reset(starts)
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     for _ in range(world.config.motion.max_slots):
         phase, level = serve(world)
         outcome = world.step(phase, shortest_ways(world, world.cell), level)
@@ -114,7 +114,7 @@ def trajectory_measures(
     world = evaluator.world
     plans = [best_trajectory(world, start, slack) for start in each(evaluator.starts)]
     world.reset(evaluator.starts)
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     for slot in range(max(len(plan.phase) for plan in plans)):
         at = [min(slot, len(plan.phase) - 1) for plan in plans]  # its last slot once it has ended
         phase, direction, level = (

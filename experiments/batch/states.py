@@ -43,7 +43,7 @@ def state_of(config: Config) -> State:
     if _is_done(config):
         return State.DONE
     try:
-        found = resume.standing(config, folder_of(config))
+        found = resume.find_run_state(config, folder_of(config))
     except (LookupError, OSError, ValueError):
         return State.NEW
     return State.BEGUN if isinstance(found, Checkpoint) else State.NEW
@@ -55,7 +55,7 @@ def check_folder(config: Config) -> None:
     Raises:
         ConfigError: it holds something else, or the run of another version.
     """
-    found = resume.standing(config, folder_of(config))
+    found = resume.find_run_state(config, folder_of(config))
     if isinstance(found, dict) and not _is_done(config):
         allowed = "a folder whose run is whole and of this version of RISFleet"
         raise ConfigError.of([("run.dir", folder_of(config), allowed)])

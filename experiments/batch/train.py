@@ -25,7 +25,7 @@ ATTEMPTS = 2
 
 
 @dataclass(frozen=True)
-class Outcome:
+class BatchOutcome:
     """What became of all runs.
 
     Attributes:
@@ -47,7 +47,7 @@ def train(
     console: Console,
     hydra: Sequence[str] = (),
     workers: int | None = None,
-) -> Outcome:
+) -> BatchOutcome:
     """Trains every run that is not done; the longest ones begin first.
 
     A folder with what cannot be used is emptied: who must not lose it checks that before.
@@ -82,9 +82,9 @@ def train(
             failed = _failed(states)
     ended = tuple(folder for folder, state in states.items() if state is State.DONE)
     if signals.asked:
-        return Outcome(ended, {}, signals.status, signals.name)
+        return BatchOutcome(ended, {}, signals.status, signals.name)
     lost = {folder: "it did not end" for folder in runs if folder not in ended}
-    return Outcome(ended, lost | failed, int(bool(lost)))
+    return BatchOutcome(ended, lost | failed, int(bool(lost)))
 
 
 def _cores() -> int:

@@ -16,7 +16,7 @@ from conf import ConfigError
 from conf.overrides import is_hydras, lines, parse
 from conf.user_paths import user_path
 from env.plugins import PluginError
-from experiments.batch.train import Outcome
+from experiments.batch.train import BatchOutcome
 from experiments.console.arguments import positive
 from experiments.console.mishaps import in_words
 from experiments.reproduce.jobs.runner import Plan, train
@@ -91,7 +91,7 @@ def _report(
         console.print(f"  {path}", highlight=False, soft_wrap=True)
 
 
-def _said(outcome: Outcome, console: Console) -> int:
+def _said(outcome: BatchOutcome, console: Console) -> int:
     """Says what is missing; returns the exit status: 0 if nothing is."""
     if outcome.signal:
         console.print(f"Stopped by {outcome.signal}: the same call goes on where the runs are.")

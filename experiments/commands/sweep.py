@@ -15,8 +15,8 @@ from conf.overrides import combinations, is_hydras, lines, parse
 from experiments.batch import train as batch
 from experiments.batch.launcher import build_launcher
 from experiments.batch.states import check_folder
-from experiments.runtimes.folders import alone, dated, made
-from experiments.runtimes.runner import ERRORS, say, train_missing
+from experiments.runtimes.folders import dated, made, run_lock
+from experiments.runtimes.runner import ERRORS, print_error, train_missing
 from training.preflight import checked_training
 from training.session import STOP_FILE
 
@@ -53,7 +53,7 @@ def train_all(overrides: Sequence[str]) -> int:
         folder = dated(Path("multirun"))
         configs = _numbered(configs, folder)
     folder = made(folder)
-    with alone(folder):
+    with run_lock(folder):
         return _one_by_one(configs) if shown else _at_once(configs, folder, launcher)
 
 
@@ -63,7 +63,7 @@ def _one_by_one(configs: Sequence[Config]) -> int:
         try:
             ended = train_missing(config)
         except ERRORS as error:  # what fails leaves the others to go on
-            say(error)
+            print_error(error)
             status = 1
         else:
             if ended:

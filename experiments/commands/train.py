@@ -9,7 +9,7 @@ from conf import Config, ConfigError
 from conf.commented import commented_yaml
 from experiments.commands.sweep import train_all
 from experiments.runtimes.folders import new_folder
-from experiments.runtimes.runner import ERRORS, say, train
+from experiments.runtimes.runner import ERRORS, print_error, train
 from training import resume
 from training.preflight import check_address, checked, checked_training
 
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
         _check_address(config)
         return train(config, new_folder(config))
     except ERRORS as error:
-        return say(error)
+        return print_error(error)
 
 
 def _check_flags(flags: Sequence[str], *, resumes: bool) -> None:

@@ -57,7 +57,7 @@ def check_unused(folder: Path) -> None:
         raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
 
 
-def placed(config: Config, folder: Path) -> tuple[Config, Path]:
+def prepare_run(config: Config, folder: Path) -> tuple[Config, Path]:
     """A configuration that names its run and says where it is, and that folder, which is made.
 
     Raises:
@@ -95,17 +95,17 @@ def clear(folder: Path, *, whole: bool = False) -> None:
         shutil.rmtree(folder / "tensorboard", ignore_errors=True)
 
 
-def alone(folder: Path) -> AbstractContextManager[None]:
+def run_lock(folder: Path) -> AbstractContextManager[None]:
     """Holds a run's folder, so that no second process goes on in it.
 
     Raises:
         ConfigError: another process holds it.
     """
-    return held(folder, ("run.dir", folder, "a folder in which no run is going on"))
+    return folder_lock(folder, ("run.dir", folder, "a folder in which no run is going on"))
 
 
 @contextmanager
-def held(folder: Path, problem: tuple[str, object, str]) -> Iterator[None]:
+def folder_lock(folder: Path, problem: tuple[str, object, str]) -> Iterator[None]:
     """Holds a folder for this process.
 
     Args:

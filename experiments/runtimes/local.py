@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from client_app.state import Keeper
+from client_app.state import CheckpointedRobots
 from conf import Config
-from lockstep import LocalFleet, Want
+from lockstep import Expect, LocalFleet
 from storage.checkpoint_layout import STATE
 from training.checkpoint import Checkpoint
 from training.controllers.central import CentralAgent
 from training.recording.files import report_failure
-from training.session import Session
+from training.session import TrainingRun
 
 
 class InProcessFleet(LocalFleet):
@@ -24,10 +24,10 @@ class InProcessFleet(LocalFleet):
 
     _farewell = False
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        """See ``Fleet.tell``."""
-        super().tell(tick, window, want, updates)
-        self._farewell = want is Want.FAREWELL
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        """See ``Fleet.send_step``."""
+        super().send_step(tick, window, expect, updates)
+        self._farewell = expect is Expect.END_ROUND
 
     def upload(self, window: int) -> NDArray[np.float32]:
         """See ``Fleet.upload``."""
@@ -46,12 +46,12 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
         What ``summary.json`` holds.
     """
     try:
-        session = Session(config, folder, resumed)
+        session = TrainingRun(config, folder, resumed)
         if isinstance(session.ap, CentralAgent):
             return session.train(session.ap.fleet)
         robots = tuple(range(config.env.robots))
         state = None if config.state.every is None else folder / STATE
-        with closing(Keeper(config, robots, state)) as keeper:
+        with closing(CheckpointedRobots(config, robots, state)) as keeper:
             return session.train(InProcessFleet([(robots, keeper)]))
     except BaseException as error:
         report_failure(folder, error)

@@ -80,7 +80,7 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     config = dataclasses.replace(config, federation=federation)
     write_atomically(folder / "config.yaml", to_yaml(config))
     try:
-        restarts = _persevere(config, folder, resumed)
+        restarts = _run_with_restarts(config, folder, resumed)
     except BaseException as error:
         report_failure(folder, error)
         raise
@@ -94,7 +94,7 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     return summary
 
 
-def _persevere(config: Config, folder: Path, resumed: Checkpoint | None) -> list[str]:
+def _run_with_restarts(config: Config, folder: Path, resumed: Checkpoint | None) -> list[str]:
     """Runs to the end; where processes died that this has started, starts them again.
 
     Returns:

@@ -17,7 +17,7 @@ from experiments.console.display import Display, show_summary
 from experiments.console.mishaps import in_words
 from experiments.flower import FlowerError
 from experiments.runtimes import local, on_flower
-from experiments.runtimes.folders import alone, clear, placed
+from experiments.runtimes.folders import clear, prepare_run, run_lock
 from experiments.runtimes.stopping import StopSignals
 from lockstep import LinkError
 from storage.checkpoint_files import checkpoints
@@ -38,7 +38,7 @@ RUNTIMES: dict[str, Runtime] = {
 }
 
 
-def say(error: Exception) -> int:
+def print_error(error: Exception) -> int:
     """Prints what ended a run or kept it from starting; returns the exit status.
 
     How to go on is said, too, where it is known.
@@ -62,7 +62,7 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
     """
     console = Console()
     config, folder = _shown(config, folder, console)
-    with alone(folder):
+    with run_lock(folder):
         if resumed is not None:
             clear(folder)
         return _train_shown(config, folder, resumed, console)
@@ -79,7 +79,7 @@ def train_missing(config: Config) -> int:
     """
     console = Console()
     config, folder = _shown(config, Path(str(config.run.dir)), console)
-    with alone(folder):
+    with run_lock(folder):
         config, found = _ready(config, folder)
         if isinstance(found, dict):
             console.print("done before", highlight=False)
@@ -96,8 +96,8 @@ def train_quietly(config: Config) -> dict[str, Any]:
     Raises:
         ConfigError: the folder holds another run, or another process goes on in it.
     """
-    config, folder = placed(config, Path(str(config.run.dir)))
-    with alone(folder):
+    config, folder = prepare_run(config, Path(str(config.run.dir)))
+    with run_lock(folder):
         config, found = _ready(config, folder)
         if isinstance(found, dict):
             return found
@@ -111,7 +111,7 @@ def _ready(config: Config, folder: Path) -> tuple[Config, dict[str, Any] | Check
         The configuration, with the identity that the run has had so far, and what
         ``resume.standing`` says.
     """
-    found = resume.standing(config, folder)
+    found = resume.find_run_state(config, folder)
     if not isinstance(found, dict):
         clear(folder, whole=found is None)
     if isinstance(found, Checkpoint):
@@ -145,8 +145,8 @@ def _train_shown(config: Config, folder: Path, resumed: Checkpoint | None, conso
 
 
 def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, Path]:
-    """See ``placed``; says where the run is."""
-    config, folder = placed(config, folder)
+    """See ``prepare_run``; says where the run is."""
+    config, folder = prepare_run(config, folder)
     console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
     notices.show(config, console)
     return config, folder

@@ -79,12 +79,12 @@ class Eager:
             seen = torch.relu(seen @ weight + bias)
         return seen @ layers[-1][0] + layers[-1][1]
 
-    def update(self, seen, actions, rewards, following, terminal, active):
+    def update(self, seen, actions, rewards, next_observation, terminal, active):
         """One gradient step; returns the loss."""
         heads = self.heads
         with torch.no_grad():
-            after = self.values(self.target, following).split(heads.sizes, dim=1)
-            by = self.values(self.q, following).split(heads.sizes, dim=1)
+            after = self.values(self.target, next_observation).split(heads.sizes, dim=1)
+            by = self.values(self.q, next_observation).split(heads.sizes, dim=1)
             if not self.config.double:
                 by = after
             value = [a.gather(1, b.argmax(1, keepdim=True))[:, 0] for a, b in zip(after, by)]  # noqa: B905
@@ -172,11 +172,11 @@ def test_a_single_head_is_a_dqn():
     plain.load(agent.weights()[0])
     rng, on = np.random.default_rng(0), np.ones(1, bool)
     for _ in range(100):
-        seen, _, reward, following, terminal, _ = transition(rng, heads)
+        seen, _, reward, next_observation, terminal, _ = transition(rng, heads)
         action = agent.choose(seen, 0.3, on)
         assert action == plain.act(seen[None], 0.3, on)
-        agent.learn(seen, action, reward, following, [terminal[0]], on)
-        plain.learn(seen[None], action, reward, following[None], [terminal[0]], on)
+        agent.learn(seen, action, reward, next_observation, [terminal[0]], on)
+        plain.learn(seen[None], action, reward, next_observation[None], [terminal[0]], on)
     np.testing.assert_allclose(agent.weights(), plain.weights(), rtol=0, atol=1e-6)
 
 
@@ -186,10 +186,10 @@ def test_an_idle_head_chooses_nothing_and_its_last_layer_learns_nothing():
     before = agent.shape.views(agent.online.copy())[-1]
     active = np.array([True, True, False])
     for _ in range(40):
-        seen, _, rewards, following, _, _ = transition(rng, OWN)
+        seen, _, rewards, next_observation, _, _ = transition(rng, OWN)
         chosen = agent.choose(seen, 0.3, active)
         assert chosen[2] == -1
-        agent.learn(seen, chosen, rewards, following, [False, False, True], active)
+        agent.learn(seen, chosen, rewards, next_observation, [False, False, True], active)
     after = agent.shape.views(agent.online)[-1]
     for part, learns in ((slice(0, 11), True), (slice(11, 18), False)):
         assert (before[0][..., part] != after[0][..., part]).any() == learns

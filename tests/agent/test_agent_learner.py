@@ -9,7 +9,7 @@ from agent_helpers import Experience, fleet, generators, live, same_bits, shape_
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from agent import DQN, AgentConfig, NetworkShape, PriorityConfig, TargetConfig, single_threaded
-from agent.learning.learner import Learner, learning_rate_at, neighbours
+from agent.learning.learner import Learner, contiguous_runs, learning_rate_at
 from agent.reference import ReferenceDQN
 from agent.replay.uniform import RowLayout
 
@@ -58,7 +58,7 @@ def test_the_learner_agrees_with_the_reference(changes, discount, mu):
     eager = []
     for agent in range(2):
         row = shape.initial_weights(rng)
-        learner.weights[agent], learner.anchor[agent] = row, row
+        learner.weights[agent], learner.proximal_reference[agent] = row, row
         eager.append(ReferenceDQN(shape, config, discount, rng, row, mu))
     size = config.batch_size
     for update in range(200):
@@ -177,14 +177,14 @@ def test_load_takes_weights_for_all_or_for_each_and_leaves_moments_alone():
 
 
 def test_neighbours_are_maximal_runs():
-    assert list(neighbours([True, True, False, True], 8)) == [(0, 2), (3, 4)]
-    assert list(neighbours([False, False], 8)) == []
+    assert list(contiguous_runs([True, True, False, True], 8)) == [(0, 2), (3, 4)]
+    assert list(contiguous_runs([False, False], 8)) == []
 
 
 def test_long_runs_of_neighbours_are_cut_into_even_parts():
     chosen = [False, *[True] * 9, False, *[True] * 8]
-    assert list(neighbours(chosen, 8)) == [(1, 5), (5, 10), (11, 19)]
-    assert list(neighbours([True] * 7, 3)) == [(0, 2), (2, 4), (4, 7)]
+    assert list(contiguous_runs(chosen, 8)) == [(1, 5), (5, 10), (11, 19)]
+    assert list(contiguous_runs([True] * 7, 3)) == [(0, 2), (2, 4), (4, 7)]
 
 
 def test_no_global_random_state_is_touched():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from agent import PriorityConfig, TargetConfig, q_values
 from agent.learning.learner import learning_rate_at
 from agent.networks.dueling import DuelingHead
-from agent.replay.n_step import ReturnWindow
+from agent.replay.n_step import NStepBuilder
 from agent.replay.prioritised import LEAST_ERROR, PrioritisedReplay
 from agent.replay.uniform import RowLayout
 
@@ -35,32 +35,32 @@ def pushed(window, *rows):
 
 
 def test_a_return_sums_n_rewards_and_bootstraps_from_the_state_after_them():
-    window = ReturnWindow(LAYOUT, 3, 0.5)
+    window = NStepBuilder(LAYOUT, 3, 0.5)
     left = pushed(window, row(0, 1, 8), row(1, 2, 4), row(2, 3, 2), row(3, 4, 16))
     # discount^3 counts what follows: half of it is td_target's, 1 - terminal = 0.5^2 the rest
     assert left == [[], [], [(0, 3, 8 + 2 + 0.5, 0.75)], [(1, 4, 4 + 1 + 4, 0.75)]]
 
 
 def test_an_arrival_ends_all_returns_and_nothing_is_bootstrapped():
-    window = ReturnWindow(LAYOUT, 3, 0.5)
+    window = NStepBuilder(LAYOUT, 3, 0.5)
     left = pushed(window, row(0, 1, 8), row(1, 2, 4), row(2, 3, 2, arrived=True), row(7, 8, 1))
     assert left == [[], [], [(0, 3, 10.5, 1), (1, 3, 5, 1), (2, 3, 2, 1)], []]
 
 
 def test_an_episode_cut_off_bootstraps_sooner_from_its_last_state():
-    window = ReturnWindow(LAYOUT, 3, 0.5)
+    window = NStepBuilder(LAYOUT, 3, 0.5)
     left = pushed(window, row(0, 1, 8), row(1, 2, 4), row(7, 8, 2), row(8, 9, 2, arrived=True))
     assert left[2] == [(0, 2, 10, 0.5), (1, 2, 4, 0)]
     assert left[3] == [(7, 9, 3, 1), (8, 9, 2, 1)]
 
 
 def test_what_waits_is_restored():
-    one, other = ReturnWindow(LAYOUT, 4, 0.5), ReturnWindow(LAYOUT, 4, 0.5)
+    one, other = NStepBuilder(LAYOUT, 4, 0.5), NStepBuilder(LAYOUT, 4, 0.5)
     pushed(one, row(0, 1, 8), row(1, 2, 4))
     other.restore(one.rows())
     rest = row(2, 3, 2), row(3, 4, 1)
     assert pushed(one, *rest) == pushed(other, *rest)
-    assert len(ReturnWindow(LAYOUT, 4, 0.5).rows()) == 0
+    assert len(NStepBuilder(LAYOUT, 4, 0.5).rows()) == 0
 
 
 @given(
@@ -69,7 +69,7 @@ def test_what_waits_is_restored():
     data=st.randoms(use_true_random=False),
 )
 def test_every_transition_is_stored_once_with_the_return_of_its_own_episode(steps, lives, data):
-    window, discount, state = ReturnWindow(LAYOUT, steps, 0.5), 0.5, 0
+    window, discount, state = NStepBuilder(LAYOUT, steps, 0.5), 0.5, 0
     expected, left = [], []
     for length, arrives in lives:
         rewards = [data.randrange(-8, 9) for _ in range(length)]
@@ -91,7 +91,7 @@ def test_one_step_is_what_no_window_gives():
     experience = Experience(shape, 2, 90, chained=True)
     plain, windowed = (fleet(shape, small_config(n_step=n), [1, 2]) for n in (1, 2))
     for agent in range(2):
-        windowed._windows[agent] = ReturnWindow(windowed._layout, 1, 0.8)
+        windowed._windows[agent] = NStepBuilder(windowed._layout, 1, 0.8)
     live(plain, experience, [0, 1])
     live(windowed, experience, [0, 1])
     assert same_bits(plain.weights(), windowed.weights())
@@ -134,7 +134,7 @@ def surprised(errors, alpha=1.0, beta=1.0, batch=3):
         ring.add(np.array([number], np.float32))
     ring._drawn = np.arange(batch) % len(errors)
     error[:] = np.resize(errors, batch)
-    ring.learned()
+    ring.update_priorities()
     return ring, importance, error
 
 
@@ -156,7 +156,7 @@ def test_transitions_are_drawn_by_their_errors_and_weigh_the_inverse():
 
 def test_alpha_flattens_chances_and_beta_of_zero_makes_all_weigh_alike():
     ring, importance, _ = surprised(np.array([0.999, 3.999, 8.999]), alpha=0.5, beta=0.0)
-    np.testing.assert_allclose(ring.marks()["priorities"], [1, 2, 3, 3], rtol=1e-6)
+    np.testing.assert_allclose(ring.extra_state()["priorities"], [1, 2, 3, 3], rtol=1e-6)
     ring.sample(np.random.default_rng(0), np.empty((3, 1), np.float32))
     assert importance.tolist() == [1, 1, 1]
 
@@ -165,9 +165,9 @@ def test_a_new_transition_is_as_likely_as_the_most_surprising_ever():
     ring, _, error = surprised(np.array([0.999, 3.999, 8.999]))
     ring._drawn = np.arange(3)
     error[:] = 0.999
-    ring.learned()
+    ring.update_priorities()
     ring.add(np.array([3], np.float32))
-    np.testing.assert_allclose(ring.marks()["priorities"], [1, 1, 1, 9, 9], rtol=1e-6)
+    np.testing.assert_allclose(ring.extra_state()["priorities"], [1, 1, 1, 9, 9], rtol=1e-6)
 
 
 def test_a_transition_that_overwrites_another_has_a_chance_of_its_own():
@@ -176,7 +176,7 @@ def test_a_transition_that_overwrites_another_has_a_chance_of_its_own():
         ring.add(np.array([number], np.float32))
     ring._shares[:] = 5.0, 7.0
     ring.add(np.array([2], np.float32))
-    assert ring.marks()["priorities"].tolist() == [1, 7, 1]
+    assert ring.extra_state()["priorities"].tolist() == [1, 7, 1]
 
 
 @given(
@@ -245,10 +245,10 @@ def test_dueling_streams_are_joined_as_a_hand_computed_case():
 def test_the_way_back_through_a_form_is_the_transposed_map(form, batch, seed):
     rng = np.random.default_rng(seed)
     outputs = rng.normal(size=(2, form.outputs, batch)).astype(np.float32)
-    slope = rng.normal(size=(2, form.actions, batch)).astype(np.float32)
+    grad = rng.normal(size=(2, form.actions, batch)).astype(np.float32)
     back = np.empty_like(outputs)
-    form.backward(slope, back)
-    there = (form.action_values(outputs, axis=1) * slope).sum()
+    form.backward(grad, back)
+    there = (form.action_values(outputs, axis=1) * grad).sum()
     np.testing.assert_allclose(there, (outputs * back).sum(), rtol=1e-3, atol=1e-3)
 
 

@@ -155,9 +155,9 @@ def test_huber_and_its_slope_are_those_of_torch(delta):
     error = torch.linspace(-4, 4, 81, requires_grad=True)
     expected = F.huber_loss(error, torch.zeros(81), delta=delta, reduction="none")
     expected.sum().backward()
-    loss, slope = huber(error.detach().numpy()[None], delta)
+    loss, grad = huber(error.detach().numpy()[None], delta)
     np.testing.assert_allclose(loss[0], expected.detach(), atol=1e-6)
-    np.testing.assert_allclose(slope[0], error.grad, atol=1e-6)
+    np.testing.assert_allclose(grad[0], error.grad, atol=1e-6)
 
 
 def test_next_values_take_the_best_action_by_target_or_online():

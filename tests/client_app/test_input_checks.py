@@ -10,26 +10,26 @@ import pytest
 from numpy.typing import NDArray
 
 from agent.networks.limits import WEIGHT_LIMIT
-from client_app.input_checks import CHANNEL_LIMIT_DB, RATE_LIMIT, check_told
+from client_app.input_checks import CHANNEL_LIMIT_DB, RATE_LIMIT, check_received
 from client_app.robots import RobotGroup
 from conf import Config, robot_network
 from env.mdp import reward
 from env.seeding import Stream, stream
-from lockstep import UPDATE, Flag, Step, Want
+from lockstep import UPDATE, Expect, Flag, Step
 
 CELLS = 48
 ROBOTS = (3, 1)
 LEARNING = int(Flag.OUTCOME | Flag.DRIVING)
 
 
-def told(tick: int = 1, **changes: Any) -> Step:
+def received(tick: int = 1, **changes: Any) -> Step:
     """A step in which the second robot's record is changed."""
     updates = np.zeros(2, UPDATE)
     updates["flags"], updates["rate"] = LEARNING, 3.0
     updates["channel_db"] = updates["outcome_channel_db"] = -70.0
     for name, value in changes.items():
         updates[name][1] = value
-    return Step(tick, 1, Want.ACTIONS, updates)
+    return Step(tick, 1, Expect.ACTIONS, updates)
 
 
 @pytest.fixture
@@ -61,12 +61,12 @@ def group(tiny: Callable[..., Config]) -> RobotGroup:
 def test_what_cannot_be_is_named_and_nothing_is_learned_from_it(
     group: RobotGroup, change: dict[str, Any], shown: str
 ) -> None:
-    group.step(told(0))
+    group.step(received(0))
     before = group.upload()
     with pytest.raises(ValueError, match=rf"tick 7: robot 1 was told what cannot be .*{shown}[,)]"):
-        group.step(told(7, **change))
+        group.step(received(7, **change))
     np.testing.assert_array_equal(group.upload(), before)
-    group.step(told(7))
+    group.step(received(7))
     assert (group.upload() != before).any()
 
 
@@ -77,7 +77,7 @@ def test_what_is_extreme_but_possible_is_believed(group: RobotGroup) -> None:
         {"cell": CELLS - 1, "outcome_cell": 0},
         {"channel_db": -CHANNEL_LIMIT_DB, "outcome_channel_db": CHANNEL_LIMIT_DB},
     ):
-        assert group.step(told(**change)) is not None
+        assert group.step(received(**change)) is not None
 
 
 def test_no_float64_makes_a_rate_or_a_channel_beyond_the_limits() -> None:
@@ -91,7 +91,7 @@ def test_no_float64_makes_a_rate_or_a_channel_beyond_the_limits() -> None:
 def test_a_reward_that_is_not_finite_is_named(
     group: RobotGroup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    group.step(told(0))
+    group.step(received(0))
     before = group.upload()
 
     def broken(rate: NDArray[np.float64], *rest: Any) -> NDArray[np.float64]:
@@ -99,7 +99,7 @@ def test_a_reward_that_is_not_finite_is_named(
 
     monkeypatch.setattr(group._slice._rewards, "_local", broken)
     with pytest.raises(ValueError, match="tick 5: the reward of robot 3 is inf"):
-        group.step(told(5))
+        group.step(received(5))
     np.testing.assert_array_equal(group.upload(), before)
 
 
@@ -107,7 +107,7 @@ def test_only_a_reward_that_is_learned_from_counts(
     group: RobotGroup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(group._slice._rewards, "_local", lambda rate, *_: np.array([0.5, np.nan]))
-    assert group.step(told(1, flags=0)) is not None
+    assert group.step(received(1, flags=0)) is not None
 
 
 @pytest.mark.parametrize(
@@ -124,4 +124,4 @@ def test_an_absurd_model_is_named_and_not_taken(group: RobotGroup, bad: float, s
 
 def test_each_robot_needs_a_record() -> None:
     with pytest.raises(ValueError, match="shorter"):
-        check_told(0, (0, 1, 2), told().updates, CELLS)
+        check_received(0, (0, 1, 2), received().updates, CELLS)

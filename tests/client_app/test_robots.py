@@ -10,19 +10,19 @@ import pytest
 from flwr.app import ConfigRecord
 from numpy.typing import NDArray
 
-from client_app.app import Order
+from client_app.app import RoundConfig
 from client_app.robots import RobotGroup
 from client_app.state import load_state, save_state
 from conf import Config, robot_network, to_yaml
 from env.seeding import Stream, stream
-from lockstep import UPDATE, Flag, Step, Want
+from lockstep import UPDATE, Expect, Flag, Step
 from storage.checkpoint_files import CheckpointError, checkpoints
 from storage.checkpoint_layout import robot_folder
 
 Tiny = Callable[..., Config]
 
 
-def told(tick: int, want: Want, flags: Sequence[int], window: int = 1) -> Step:
+def received(tick: int, expect: Expect, flags: Sequence[int], window: int = 1) -> Step:
     """A step with cells and channels that depend on the tick."""
     updates = np.zeros(len(flags), dtype=UPDATE)
     rng = np.random.default_rng(tick)
@@ -32,19 +32,19 @@ def told(tick: int, want: Want, flags: Sequence[int], window: int = 1) -> Step:
     for name in ("channel_db", "outcome_channel_db"):
         updates[name] = rng.normal(-70, 10, size=len(flags))
     updates["rate"] = rng.uniform(0, 20, size=len(flags))
-    return Step(tick, window, want, updates)
+    return Step(tick, window, expect, updates)
 
 
 def drive(group: RobotGroup, ticks: range, window: int = 1) -> list[NDArray[np.int32]]:
     """Lets all robots drive and learn; returns their actions."""
     count = len(group.robots)
     if ticks.start == 0:
-        first = group.step(told(0, Want.ACTIONS, [Flag.DRIVING] * count, window))
+        first = group.step(received(0, Expect.ACTIONS, [Flag.DRIVING] * count, window))
         assert first is not None
     answers = []
     for tick in ticks:
         flags = [int(Flag.OUTCOME | Flag.DRIVING)] * count
-        answer = group.step(told(tick + 1, Want.ACTIONS, flags, window))
+        answer = group.step(received(tick + 1, Expect.ACTIONS, flags, window))
         assert answer is not None
         answers.append(answer)
     return answers
@@ -70,7 +70,7 @@ def make_group(tiny: Tiny, initial: NDArray[np.float32]) -> Callable[..., RobotG
 
 
 def test_only_robots_that_drive_are_given_actions(make_group: Callable[..., RobotGroup]) -> None:
-    chosen = make_group().step(told(0, Want.ACTIONS, [Flag.DRIVING, 0, Flag.DRIVING]))
+    chosen = make_group().step(received(0, Expect.ACTIONS, [Flag.DRIVING, 0, Flag.DRIVING]))
     assert chosen is not None
     assert chosen.dtype == np.int32
     assert chosen[1] == -1
@@ -78,15 +78,15 @@ def test_only_robots_that_drive_are_given_actions(make_group: Callable[..., Robo
     assert 0 <= chosen[2] < 24
 
 
-@pytest.mark.parametrize("want", [Want.WEIGHTS, Want.FAREWELL])
+@pytest.mark.parametrize("expect", [Expect.WEIGHTS, Expect.END_ROUND])
 def test_the_last_step_of_a_window_is_learned_from_and_not_answered(
-    make_group: Callable[..., RobotGroup], want: Want
+    make_group: Callable[..., RobotGroup], expect: Expect
 ) -> None:
     group = make_group()
     drive(group, range(12))
     before = group.upload()
     flags = [int(Flag.OUTCOME | Flag.DRIVING)] * 3
-    assert group.step(told(13, want, flags, window=4)) is None
+    assert group.step(received(13, expect, flags, window=4)) is None
     assert group.window == 4
     assert (group.upload()[:, 0] != before[:, 0]).any(axis=1).all()
 
@@ -95,7 +95,7 @@ def test_robots_without_an_outcome_learn_nothing(make_group: Callable[..., Robot
     group = make_group()
     drive(group, range(12))
     before = group.upload()
-    group.step(told(13, Want.WEIGHTS, [Flag.DRIVING | Flag.OUTCOME, 0, Flag.DRIVING]))
+    group.step(received(13, Expect.WEIGHTS, [Flag.DRIVING | Flag.OUTCOME, 0, Flag.DRIVING]))
     changed = (group.upload()[:, 0] != before[:, 0]).any(axis=1)
     assert changed.tolist() == [True, False, False]
 
@@ -123,12 +123,12 @@ def test_an_upload_is_a_copy_and_a_download_reaches_all(
 
 def test_a_robot_is_the_same_in_any_group(make_group: Callable[..., RobotGroup]) -> None:
     alone, pair = make_group((2,)), make_group((1, 2))
-    start = told(0, Want.ACTIONS, [Flag.DRIVING] * 2)
-    alone.step(Step(0, 1, Want.ACTIONS, start.updates[1:].copy()))
+    start = received(0, Expect.ACTIONS, [Flag.DRIVING] * 2)
+    alone.step(Step(0, 1, Expect.ACTIONS, start.updates[1:].copy()))
     pair.step(start)
     for tick in range(1, 40):
-        step = told(tick, Want.ACTIONS, [int(Flag.OUTCOME | Flag.DRIVING)] * 2)
-        one = alone.step(Step(tick, 1, Want.ACTIONS, step.updates[1:].copy()))
+        step = received(tick, Expect.ACTIONS, [int(Flag.OUTCOME | Flag.DRIVING)] * 2)
+        one = alone.step(Step(tick, 1, Expect.ACTIONS, step.updates[1:].copy()))
         two = pair.step(step)
         assert one is not None
         assert two is not None
@@ -155,7 +155,7 @@ def test_robots_go_on_from_their_files_to_the_same_bits(
     fresh = make_group()
     load_state(fresh, tmp_path, 2)
     for group in (whole, fresh):
-        group.step(told(20, Want.ACTIONS, [Flag.DRIVING] * 3, window=3))
+        group.step(received(20, Expect.ACTIONS, [Flag.DRIVING] * 3, window=3))
     one, other = drive(whole, range(21, 45)), drive(fresh, range(21, 45))
     np.testing.assert_array_equal(one, other)
     assert whole.upload().tobytes() == fresh.upload().tobytes()
@@ -212,6 +212,6 @@ def test_an_order_is_read_as_it_was_written(tiny: Tiny) -> None:
             "certificate": "PEM",
         }
     )
-    order = Order.read(record)
+    order = RoundConfig.read(record)
     address = ("127.0.0.1", 4711)
-    assert order == Order(config, (1, 2), ["a", "b"], address, 20, 3, "PEM")
+    assert order == RoundConfig(config, (1, 2), ["a", "b"], address, 20, 3, "PEM")

@@ -13,7 +13,7 @@ import env
 from conf import ConfigError, compose, fingerprint
 from env import plugins
 from env.checks import checked_config
-from env.local_env import Slice
+from env.local_env import LocalEnv
 from env.mdp import reward
 from env.mdp.destinations import draw_destinations
 from env.radio.radio_map import build_radio_map
@@ -103,12 +103,12 @@ def test_an_own_reward_has_equal_bits_in_the_world_and_on_a_robot():
     world = world_of({"reward": {"model": "squared"}})
     for outcome, left, reached in slots(world):
         for b in range(len(left)):
-            mine = Slice(Scenario(world.config, world.destinations))
+            mine = LocalEnv(Scenario(world.config, world.destinations))
             made = mine.reward(outcome.rate[b], left[b], reached[b], outcome.arrived[b])
             drove = outcome.drove[b]
             assert np.array_equal(made[drove], outcome.local_reward[b][drove])
             for k in np.flatnonzero(drove):
-                alone = Slice(Scenario(world.config, world.destinations[k : k + 1]))
+                alone = LocalEnv(Scenario(world.config, world.destinations[k : k + 1]))
                 at = slice(k, k + 1)
                 one = alone.reward(
                     outcome.rate[b, at], left[b, at], reached[b, at], outcome.arrived[b, at]
@@ -176,7 +176,9 @@ def test_without_a_ris_an_own_channel_has_none_either():
 def test_by_default_the_papers_function_itself_makes_rewards():
     world = world_of({})
     assert world._rewards._local is reward.local_reward
-    assert Slice(Scenario(world.config, world.destinations))._rewards._local is reward.local_reward
+    assert (
+        LocalEnv(Scenario(world.config, world.destinations))._rewards._local is reward.local_reward
+    )
     assert plugins.own_channel(world.config, world.floor) is None
 
 
@@ -189,7 +191,7 @@ def test_a_package_is_found_by_its_entry_points(install):
         {"reward": {"model": "diminishing"}, "channel": {"model": "free_space"}}
     )
     rate, metres = np.array([9.0]), np.array([2.0])
-    made = reward.RewardFunction(config).local(rate, metres, metres, np.array([True]))
+    made = reward.RewardFunction(config).of_robots(rate, metres, metres, np.array([True]))
     # 0.05 * 3 - 1 + 100.
     assert made == pytest.approx([99.15])
     # 0.125 m of wavelength, 2.4 GHz: the cell below the AP is 1 m lower and 0.25 m off both ways.

@@ -21,8 +21,8 @@ from env.config import (
     TasksConfig,
     WallsConfig,
 )
-from env.episode import EpisodeTally
-from env.local_env import Slice
+from env.episode import EpisodeAccumulator
+from env.local_env import LocalEnv
 from env.mdp.destinations import draw_destinations
 from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
@@ -155,7 +155,7 @@ def test_a_robot_that_has_arrived_takes_no_power_no_rate_and_no_step():
 
 def test_the_measures_of_the_episode_by_hand():
     world = tiny_world((3, 1))
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     tally.add(step(world, (EAST, 2), (WEST, 3)))
     tally.add(step(world, (EAST, 1), (NORTH, 1)))
     found = tally.measures()
@@ -196,7 +196,7 @@ def test_the_last_one_driving_gets_the_whole_band_where_parts_are_dealt_out_agai
 
 def test_quality_of_experience_replaces_the_rate_in_every_reward_by_hand():
     world = tiny_world((3, 1), metric="qoe")
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     first = step(world, (EAST, 2), (WEST, 3))
     eta = [math.log10(rate) for rate in FIRST_RATES]
     assert first.rate[0] == pytest.approx(FIRST_RATES)
@@ -212,7 +212,7 @@ def test_quality_of_experience_replaces_the_rate_in_every_reward_by_hand():
 
 def test_measures_of_a_detour_a_failure_and_signals_that_cannot_be_decoded():
     world = tiny_world((3, 12), power=PowerConfig(resolve="zero"))
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     for direction in (SOUTH, SOUTH, EAST, EAST):
         outcome = step(world, (direction, 1), (EAST, 1))
         tally.add(outcome)
@@ -232,7 +232,7 @@ def test_measures_of_a_detour_a_failure_and_signals_that_cannot_be_decoded():
 
 def test_a_summary_without_arrivals_has_no_path_ratio():
     world = tiny_world((3, 1))
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     tally.add(step(world, (NORTH, 1), (NORTH, 2)))
     assert math.isnan(tally.measures().summary()["path_ratio"])
 
@@ -240,7 +240,7 @@ def test_a_summary_without_arrivals_has_no_path_ratio():
 def test_measures_of_some_worlds_are_those_worlds_own():
     world = make(VARIANTS["project"], worlds=3)
     world.reset()
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     generator = np.random.default_rng(0)
     for _ in range(5):
         tally.add(world.step(*random_actions(world, generator)))
@@ -486,8 +486,10 @@ def test_a_slice_makes_the_worlds_observation_and_reward_bit_by_bit(variant):
     start = world.cell.copy()
     start[0, 0] = world.destinations[0] - 1
     world.reset(start)
-    everybody = Slice(Scenario(config, world.destinations))
-    single = [Slice(Scenario(config, world.destinations[k : k + 1])) for k in range(world.robots)]
+    everybody = LocalEnv(Scenario(config, world.destinations))
+    single = [
+        LocalEnv(Scenario(config, world.destinations[k : k + 1])) for k in range(world.robots)
+    ]
     assert everybody.observation_size == world.observer.local_size
     generator, arrivals = np.random.default_rng(2), 0
     for slot in range(60):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from conf import compose, robot_network
-from env.episode import EpisodeTally
+from env.episode import EpisodeAccumulator
 from env.oracles import per_slot
 from env.oracles.trajectory import shortest_ways
 from env.world import World
@@ -70,7 +70,7 @@ def test_the_oracle_phase_with_canonical_powers_is_the_best_of_each_slot(tmp_pat
     evaluator = Evaluator(compose(SHORTEST), episodes=5)
     world = evaluator.world
     world.reset(evaluator.starts)
-    tally, rows = EpisodeTally(world), np.arange(5)
+    tally, rows = EpisodeAccumulator(world), np.arange(5)
     while world.driving.any():
         sums = np.stack([_sum_rate(world, phase) for phase in range(4)])
         phase = sums.argmax(axis=0)

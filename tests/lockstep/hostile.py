@@ -10,7 +10,7 @@ from link_helpers import PARAMETERS, SHAPE, token
 
 from lockstep import frames
 from lockstep.errors import FrameError
-from lockstep.messages import UPDATE, VERSION, Hello, Step, Want, Weights
+from lockstep.messages import UPDATE, VERSION, Expect, Hello, Step, Weights
 from lockstep.wire_format import BODY_LIMITS, HEADER, MAGIC, Kind
 
 _NUMBERS = st.integers(0, 12) | st.integers(-1, 2**64)
@@ -38,7 +38,7 @@ def _field(hint):
         }[hint]
     if hint is np.ndarray:
         return _RECORDS
-    if isinstance(hint, type) and issubclass(hint, Want):
+    if isinstance(hint, type) and issubclass(hint, Expect):
         return st.sampled_from(hint)
     if typing.get_origin(hint) is np.ndarray:
         dtype = np.dtype(typing.get_args(typing.get_args(hint)[1])[0])
@@ -132,8 +132,8 @@ def good_conversation():
     """What a server says to the one robot that it leads through a window, frame by frame."""
     records, model = np.zeros(1, UPDATE), np.zeros((2, PARAMETERS), np.float32)
     return [
-        Step(0, 1, Want.ACTIONS, records),
-        Step(1, 1, Want.WEIGHTS, records),
+        Step(0, 1, Expect.ACTIONS, records),
+        Step(1, 1, Expect.WEIGHTS, records),
         Weights(1, model),
-        Step(1, 2, Want.ACTIONS, records),
+        Step(1, 2, Expect.ACTIONS, records),
     ]

@@ -6,9 +6,9 @@ import threading
 import numpy as np
 
 from lockstep.client import serve
-from lockstep.frame_stream import Wire
+from lockstep.frame_stream import FrameStream
 from lockstep.frames import encode
-from lockstep.messages import UPDATE, VERSION, Flag, Hello, Want
+from lockstep.messages import UPDATE, VERSION, Expect, Flag, Hello
 from lockstep.wire_format import TEXT_SIZE
 
 PARAMETERS = 11
@@ -31,11 +31,11 @@ class Recorder:
         self.model = np.zeros(SHAPE, np.float32)
 
     def step(self, step):
-        self.calls.append(("step", step.tick, step.window, step.want, step.updates.tobytes()))
+        self.calls.append(("step", step.tick, step.window, step.expect, step.updates.tobytes()))
         self.kept = step.updates
         if step.tick == self.fail_at:
             raise ValueError("the replay\nis full")
-        if step.want is not Want.ACTIONS:
+        if step.expect is not Expect.ACTIONS:
             return None
         driving = step.updates["flags"] & Flag.DRIVING
         return np.where(driving, step.updates["cell"] % 24, -1).astype(np.int32)
@@ -87,7 +87,7 @@ class RawClient:
 
     def __init__(self, server):
         self.sock = socket.create_connection(server.address, timeout=PATIENCE_S)
-        self.wire = Wire(self.sock, 2**20)
+        self.wire = FrameStream(self.sock, 2**20)
 
     def send(self, message):
         self.sock.sendall(message if isinstance(message, bytes) else encode(message))
@@ -130,7 +130,7 @@ def updates(count, tick):
 
 def ask(fleet, robots, tick):
     """One tick."""
-    fleet.tell(tick, 1, Want.ACTIONS, updates(robots, tick))
+    fleet.send_step(tick, 1, Expect.ACTIONS, updates(robots, tick))
     return fleet.actions(tick)
 
 
@@ -138,18 +138,18 @@ def drive(fleet, robots, ticks=12, every=4):
     """A run in small: windows of `every` ticks, the last of which ends with a farewell."""
     seen = []
     window = 1
-    fleet.tell(0, window, Want.ACTIONS, updates(robots, 0))
+    fleet.send_step(0, window, Expect.ACTIONS, updates(robots, 0))
     for tick in range(1, ticks + 1):
         seen.append(fleet.actions(tick - 1))
         if tick == ticks:
-            fleet.tell(tick, window, Want.FAREWELL, updates(robots, tick))
+            fleet.send_step(tick, window, Expect.END_ROUND, updates(robots, tick))
         elif tick % every == 0:
-            fleet.tell(tick, window, Want.WEIGHTS, updates(robots, tick))
+            fleet.send_step(tick, window, Expect.WEIGHTS, updates(robots, tick))
             seen.append(fleet.upload(window))
             if window != 1:  # the first time nothing comes back, as with the strategy `none`
                 fleet.download(window, seen[-1].mean(axis=0, dtype=np.float32))
             window += 1
-            fleet.tell(tick, window, Want.ACTIONS, updates(robots, tick))
+            fleet.send_step(tick, window, Expect.ACTIONS, updates(robots, tick))
         else:
-            fleet.tell(tick, window, Want.ACTIONS, updates(robots, tick))
+            fleet.send_step(tick, window, Expect.ACTIONS, updates(robots, tick))
     return seen

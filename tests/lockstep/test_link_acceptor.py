@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from link_helpers import PATIENCE_S, SHAPE, drive, token, updates
 
-from lockstep.acceptor import MAX_NEWCOMERS
+from lockstep.acceptor import MAX_PENDING
 from lockstep.errors import LinkError, LinkTimeout, Refused, RobotFailed, RobotLost, ServerLost
 from lockstep.frames import decode, encode
-from lockstep.messages import VERSION, Actions, Failure, Hello, Want, Welcome
-from lockstep.messages import Refused as RefusedMessage
+from lockstep.messages import VERSION, Actions, Expect, Failure, Hello, Welcome
+from lockstep.messages import Rejection as RefusedMessage
 from lockstep.server import LinkServer
 
 
@@ -30,7 +30,7 @@ from lockstep.server import LinkServer
 )
 def test_a_wrong_hello_is_refused_with_a_reason_and_the_run_goes_on(link, caplog, change, reason):
     clients = link.connected((0, 1), (2,))
-    link.server.tell(0, 1, Want.ACTIONS, updates(3, 0))
+    link.server.send_step(0, 1, Expect.ACTIONS, updates(3, 0))
     raw = link.raw().hello((0, 1), **change)
     answer = decode(raw.receive())
     assert isinstance(answer, RefusedMessage)
@@ -60,7 +60,7 @@ def test_nobody_gets_in_while_no_round_is_open(link):
     assert decode(raw.receive()) == RefusedMessage("no round is open")
     for call in (
         lambda: link.server.wait_connected(1),
-        lambda: link.server.tell(0, 1, Want.ACTIONS, updates(1, 0)),
+        lambda: link.server.send_step(0, 1, Expect.ACTIONS, updates(1, 0)),
     ):
         with pytest.raises(LinkError, match="no round is open"):
             call()
@@ -148,15 +148,15 @@ def test_garbage_and_slow_newcomers_disturb_nobody(make_link, caplog):
 def test_garbage_while_a_step_is_awaited_harms_nothing(link):
     clients = link.connected((0,), (1, 2))
     for tick in range(20):
-        link.server.tell(tick, 1, Want.ACTIONS, updates(3, tick))
+        link.server.send_step(tick, 1, Expect.ACTIONS, updates(3, tick))
         link.raw().send(b"x" * 50)
         link.server.actions(tick)
-    link.server.tell(20, 1, Want.FAREWELL, updates(3, 20))
+    link.server.send_step(20, 1, Expect.END_ROUND, updates(3, 20))
     assert [client.join() for client in clients] == [None, None]
 
 
 def test_a_crowd_at_the_door_does_not_keep_clients_out(link):
-    crowd = [socket.create_connection(link.server.address) for _ in range(MAX_NEWCOMERS + 20)]
+    crowd = [socket.create_connection(link.server.address) for _ in range(MAX_PENDING + 20)]
     (client,) = link.connected((0,))
     drive(link.server, 1)
     assert client.join() is None
@@ -173,8 +173,8 @@ def test_a_valid_newcomer_replaces_the_old_connection_before_the_round_begins(li
     other = link.client((1,))
     link.server.wait_connected(PATIENCE_S)
     assert old.at_end()
-    link.server.tell(0, 1, Want.FAREWELL, updates(2, 0))
-    assert decode(new.receive()).want is Want.FAREWELL
+    link.server.send_step(0, 1, Expect.END_ROUND, updates(2, 0))
+    assert decode(new.receive()).expect is Expect.END_ROUND
     assert other.join() is None
 
 
@@ -185,7 +185,7 @@ def test_a_client_that_comes_back_in_the_middle_has_lost_its_place(link, caplog)
     old, other = link.raw().hello((0,)), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
     old.receive()
-    link.server.tell(0, 1, Want.ACTIONS, updates(2, 0))
+    link.server.send_step(0, 1, Expect.ACTIONS, updates(2, 0))
     old.receive()
     old.send(encode(Actions(0, np.zeros(1, np.int32)))[:-1])
     new = link.raw().hello((0,))
@@ -203,14 +203,14 @@ def test_a_client_that_came_back_between_steps_has_lost_its_place(link):
     old = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
     old.receive()
-    link.server.tell(0, 1, Want.ACTIONS, updates(1, 0))
+    link.server.send_step(0, 1, Expect.ACTIONS, updates(1, 0))
     old.receive()
     old.send(Actions(0, np.zeros(1, np.int32)))
     link.server.actions(0)
     new = link.raw().hello((0,))
     new.receive()
     with pytest.raises(RobotLost, match="it has come back"):
-        link.server.tell(1, 1, Want.ACTIONS, updates(1, 1))
+        link.server.send_step(1, 1, Expect.ACTIONS, updates(1, 1))
 
 
 def test_a_port_in_use_is_one_clear_sentence(link):

@@ -17,14 +17,14 @@ from lockstep.errors import (
     FrameError,
     LinkError,
     LinkTimeout,
-    OutOfTurn,
+    ProtocolError,
     RobotFailed,
     RobotLost,
     ServerLost,
 )
 from lockstep.frames import decode, encode
 from lockstep.local import LocalFleet
-from lockstep.messages import UPDATE, Actions, Failure, Step, Want, Weights, Welcome
+from lockstep.messages import UPDATE, Actions, Expect, Failure, Step, Weights, Welcome
 from lockstep.server import LinkServer
 
 BLOCKS = [(0,), (1, 2), (3,)]
@@ -55,7 +55,7 @@ def test_each_robot_gets_its_own_record_and_its_answer_comes_back_in_robot_order
     clients = link.connected(*SCATTERED)
     records = updates(4, 5)
     records["flags"] = 4
-    link.server.tell(5, 2, Want.ACTIONS, records)
+    link.server.send_step(5, 2, Expect.ACTIONS, records)
     assert link.server.actions(5).tolist() == (records["cell"] % 24).tolist()
     assert clients[0].handler.kept.tobytes() == records[[3, 1]].tobytes()
 
@@ -69,15 +69,15 @@ def test_what_a_handler_is_given_stays_as_it_was(link, where):
         handler = client.handler
     first = updates(2, 0)
     expected = first.tobytes()
-    fleet.tell(0, 1, Want.WEIGHTS, first)
+    fleet.send_step(0, 1, Expect.WEIGHTS, first)
     model = fleet.upload(1).mean(axis=0)
     fleet.download(1, model)
     kept, expected_model = handler.kept, model.copy()
     model += 1
     first["cell"] += 1
-    fleet.tell(1, 2, Want.ACTIONS, updates(2, 1))
+    fleet.send_step(1, 2, Expect.ACTIONS, updates(2, 1))
     fleet.actions(1)
-    fleet.tell(2, 2, Want.ACTIONS, updates(2, 2))
+    fleet.send_step(2, 2, Expect.ACTIONS, updates(2, 2))
     fleet.actions(2)
     assert kept.tobytes() == expected
     np.testing.assert_array_equal(handler.model, expected_model)
@@ -124,11 +124,11 @@ def test_large_weights_travel_whole(make_link):
 
     client = Client(link.server, Heavy((0, 1)), tokens=["a", "b"], n_parameters=shape[1])
     link.server.wait_connected(PATIENCE_S)
-    link.server.tell(0, 1, Want.WEIGHTS, updates(2, 0))
+    link.server.send_step(0, 1, Expect.WEIGHTS, updates(2, 0))
     uploaded = link.server.upload(1)
     np.testing.assert_array_equal(uploaded, client.handler.upload())
     link.server.download(1, uploaded[1])
-    link.server.tell(1, 1, Want.FAREWELL, updates(2, 1))
+    link.server.send_step(1, 1, Expect.END_ROUND, updates(2, 1))
     assert client.join() is None
     np.testing.assert_array_equal(client.handler.model, uploaded[1])
 
@@ -204,7 +204,7 @@ def test_a_killed_client_is_noticed_while_another_is_awaited_and_named(link):
     process.start()
     try:
         link.server.wait_connected(60)
-        link.server.tell(41, 3, Want.ACTIONS, updates(2, 41))
+        link.server.send_step(41, 3, Expect.ACTIONS, updates(2, 41))
         os.kill(process.pid, signal.SIGKILL)
         with pytest.raises(RobotLost, match="robot 1 lost at tick 41, window 3") as caught:
             link.server.actions(41)
@@ -219,7 +219,7 @@ def test_half_an_answer_and_then_the_end_is_a_lost_robot(link):
     link.admit((0,))
     raw = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
-    link.server.tell(1, 1, Want.ACTIONS, updates(1, 1))
+    link.server.send_step(1, 1, Expect.ACTIONS, updates(1, 1))
     raw.send(encode(Actions(1, np.zeros(1, np.int32)))[:-2])
     raw.sock.shutdown(socket.SHUT_WR)
     with pytest.raises(RobotLost, match="closed by the other side"):
@@ -239,7 +239,7 @@ ONE = np.zeros(1, np.int32)
         (encode(Actions(1, ONE)) * 2, "out of turn"),
         (Weights(1, np.zeros((1, *SHAPE), np.float32)), "Weights where actions"),
         (Welcome(), "Welcome where actions"),
-        (Step(1, 1, Want.ACTIONS, np.zeros(1, UPDATE)), "Step where actions"),
+        (Step(1, 1, Expect.ACTIONS, np.zeros(1, UPDATE)), "Step where actions"),
     ],
 )
 def test_a_bad_answer_closes_its_connection_and_names_the_reason(link, caplog, answer, reason):
@@ -247,7 +247,7 @@ def test_a_bad_answer_closes_its_connection_and_names_the_reason(link, caplog, a
     raw, other = link.raw().hello((0,)), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
     raw.receive()
-    link.server.tell(1, 1, Want.ACTIONS, updates(2, 1))
+    link.server.send_step(1, 1, Expect.ACTIONS, updates(2, 1))
     raw.receive()
     raw.send(answer)
     with pytest.raises(RobotLost, match=reason) as caught:
@@ -273,7 +273,7 @@ def test_a_bad_upload_closes_its_connection_and_names_the_reason(link, weights, 
     link.admit((0,))
     raw = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
-    link.server.tell(0, 1, Want.WEIGHTS, updates(1, 0))
+    link.server.send_step(0, 1, Expect.WEIGHTS, updates(1, 0))
     raw.send(weights)
     with pytest.raises(RobotLost, match=reason):
         link.server.upload(1)
@@ -283,12 +283,12 @@ def test_a_frame_that_nobody_asked_for_loses_the_robot(link):
     link.admit((0,), (1,))
     raw, _ = link.raw().hello((0,)), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
-    link.server.tell(0, 1, Want.ACTIONS, updates(2, 0))
+    link.server.send_step(0, 1, Expect.ACTIONS, updates(2, 0))
     raw.send(Actions(0, ONE))
     link.server.actions(0)
     raw.send(Actions(1, ONE))
     time.sleep(0.1)
-    link.server.tell(1, 1, Want.ACTIONS, updates(2, 1))
+    link.server.send_step(1, 1, Expect.ACTIONS, updates(2, 1))
     raw.send(Actions(1, ONE))
     with pytest.raises(RobotLost, match="out of turn"):
         link.server.actions(1)
@@ -299,7 +299,7 @@ def test_a_silent_robot_is_named_at_the_deadline(make_link):
     link.admit((0, 2), (1,))
     silent, other = link.raw().hello((0, 2)), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
-    link.server.tell(6, 2, Want.ACTIONS, updates(3, 6))
+    link.server.send_step(6, 2, Expect.ACTIONS, updates(3, 6))
     with pytest.raises(LinkTimeout, match=r"robots 0, 2 did not answer .* at tick 6, window 2"):
         link.server.actions(6)
     link.server.close()
@@ -323,7 +323,7 @@ def test_a_robot_that_is_lost_stays_lost_until_the_next_round(link):
 
 def test_the_client_says_when_the_server_goes(link):
     (client,) = link.connected((0,))
-    link.server.tell(0, 1, Want.ACTIONS, updates(1, 0))
+    link.server.send_step(0, 1, Expect.ACTIONS, updates(1, 0))
     link.server.actions(0)
     link.server.close("out of power")
     error = client.join()
@@ -337,7 +337,7 @@ def test_the_client_says_when_the_server_goes(link):
         ([], ServerLost),
         ([Failure("x")], FrameError),
         ([Welcome()], ServerLost),
-        ([Welcome(), Step(0, 1, Want.ACTIONS, np.zeros(2, UPDATE))], FrameError),
+        ([Welcome(), Step(0, 1, Expect.ACTIONS, np.zeros(2, UPDATE))], FrameError),
         ([Welcome(), Weights(1, np.zeros(SHAPE, np.float32))], FrameError),
         ([Welcome(), Welcome()], FrameError),
     ],
@@ -431,30 +431,30 @@ def test_the_order_of_the_conversation_is_held(link, where):
         fleet = link.server
     records = updates(1, 0)
     model = np.zeros(SHAPE, np.float32)
-    with pytest.raises(OutOfTurn, match="before the first step"):
+    with pytest.raises(ProtocolError, match="before the first step"):
         fleet.actions(0)
-    fleet.tell(3, 1, Want.ACTIONS, records)
+    fleet.send_step(3, 1, Expect.ACTIONS, records)
     for wrong in (
-        lambda: fleet.tell(4, 1, Want.ACTIONS, records),
+        lambda: fleet.send_step(4, 1, Expect.ACTIONS, records),
         lambda: fleet.actions(4),
         lambda: fleet.upload(1),
     ):
-        with pytest.raises(OutOfTurn, match="at tick 3, window 1"):
+        with pytest.raises(ProtocolError, match="at tick 3, window 1"):
             wrong()
     fleet.actions(3)
-    fleet.tell(4, 1, Want.WEIGHTS, records)
+    fleet.send_step(4, 1, Expect.WEIGHTS, records)
     for wrong in (lambda: fleet.actions(4), lambda: fleet.upload(2)):
-        with pytest.raises(OutOfTurn):
+        with pytest.raises(ProtocolError):
             wrong()
     fleet.upload(1)
-    with pytest.raises(OutOfTurn):
+    with pytest.raises(ProtocolError):
         fleet.download(2, model)
     fleet.download(1, model)
-    with pytest.raises(OutOfTurn):
+    with pytest.raises(ProtocolError):
         fleet.download(1, model)
-    fleet.tell(5, 2, Want.FAREWELL, records)
-    with pytest.raises(OutOfTurn, match="a new round is due"):
-        fleet.tell(6, 2, Want.ACTIONS, records)
+    fleet.send_step(5, 2, Expect.END_ROUND, records)
+    with pytest.raises(ProtocolError, match="a new round is due"):
+        fleet.send_step(6, 2, Expect.ACTIONS, records)
 
 
 @pytest.mark.parametrize("where", ["local", "tcp"])
@@ -466,8 +466,8 @@ def test_wrong_arrays_are_refused_before_anything_is_sent(link, where):
         fleet = link.server
     for wrong in (np.zeros(3, UPDATE), np.zeros(2), np.zeros((2, 1), UPDATE)):
         with pytest.raises(ValueError, match="UPDATE"):
-            fleet.tell(0, 1, Want.ACTIONS, wrong)
-    fleet.tell(0, 1, Want.WEIGHTS, updates(2, 0))
+            fleet.send_step(0, 1, Expect.ACTIONS, wrong)
+    fleet.send_step(0, 1, Expect.WEIGHTS, updates(2, 0))
     fleet.upload(1)
     for wrong in (np.zeros(SHAPE), np.zeros((2, 3), np.float32)):
         with pytest.raises(ValueError, match="float32"):
@@ -487,7 +487,7 @@ def test_a_closed_local_fleet_takes_no_more():
     _, fleet = local([(0,)])
     fleet.close()
     with pytest.raises(LinkError, match="closed"):
-        fleet.tell(0, 1, Want.ACTIONS, updates(1, 0))
+        fleet.send_step(0, 1, Expect.ACTIONS, updates(1, 0))
 
 
 def test_a_lost_farewell_is_no_frame_for_the_next_round(link):

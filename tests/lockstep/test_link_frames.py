@@ -17,11 +17,11 @@ from lockstep.messages import (
     UPDATE,
     VERSION,
     Actions,
+    Expect,
     Failure,
     Hello,
-    Refused,
+    Rejection,
     Step,
-    Want,
     Weights,
     Welcome,
 )
@@ -48,7 +48,7 @@ def steps(draw):
     records = np.frombuffer(draw(st.binary(min_size=26 * count, max_size=26 * count)), UPDATE)
     records = records.copy()
     records["flags"] &= 7
-    return Step(draw(ticks), draw(windows), draw(st.sampled_from(Want)), records)
+    return Step(draw(ticks), draw(windows), draw(st.sampled_from(Expect)), records)
 
 
 actions = st.builds(Actions, ticks, hnp.arrays("<i4", counts))
@@ -64,7 +64,7 @@ hellos = st.integers(1, 9).flatmap(
         st.lists(lines.map(lambda text: text[:256]), min_size=n, max_size=n),
     )
 )
-texts = st.builds(Refused, lines) | st.builds(Failure, lines) | st.just(Welcome())
+texts = st.builds(Rejection, lines) | st.builds(Failure, lines) | st.just(Welcome())
 messages = steps() | actions | weights | hellos | texts
 
 
@@ -90,7 +90,7 @@ def test_a_message_comes_out_of_its_frame_as_it_went_in(message):
 
 
 def test_frames_have_the_announced_sizes():
-    step = Step(1, 1, Want.ACTIONS, np.zeros(3, UPDATE))
+    step = Step(1, 1, Expect.ACTIONS, np.zeros(3, UPDATE))
     assert len(encode(step)) == step_size(3)
     assert len(encode(Actions(1, np.zeros(3, np.int32)))) == actions_size(3)
     assert len(encode(Weights(1, np.zeros((3, 2, 5), np.float32)))) == weights_size((3, 2, 5))
@@ -164,12 +164,12 @@ def test_the_limit_before_the_hello_is_small_and_holds_the_largest_hello():
         framed(Kind.WEIGHTS, struct.pack("<IB3xIII", 1, 2, 1, 1, 1) + bytes(4)),
         framed(Kind.WEIGHTS, struct.pack("<IB3xIII", 1, 4, 1, 1, 1) + bytes(4)),
         framed(Kind.WEIGHTS, struct.pack("<IB3xIII", 1, 3, 2**31, 2**31, 4)),
-        framed(Kind.BEGIN, struct.pack("<IIII", 1, 20, 2, 1) + bytes(4)),
-        framed(Kind.BEGIN, struct.pack("<IIII", 1, 20, 0, 7)),
-        framed(Kind.BEGIN, struct.pack("<III", 1, 20, 0)),
-        framed(Kind.READY, b"\0\0\0"),
-        framed(Kind.READY, struct.pack("<IH", 1, 2) + bytes(4)),
-        framed(Kind.HALT, bytes(5)),
+        framed(Kind.RESTORE, struct.pack("<IIII", 1, 20, 2, 1) + bytes(4)),
+        framed(Kind.RESTORE, struct.pack("<IIII", 1, 20, 0, 7)),
+        framed(Kind.RESTORE, struct.pack("<III", 1, 20, 0)),
+        framed(Kind.ACK, b"\0\0\0"),
+        framed(Kind.ACK, struct.pack("<IH", 1, 2) + bytes(4)),
+        framed(Kind.ABORT, bytes(5)),
         framed(Kind.REFUSED, b"\xff\xfe"),
     ],
 )
@@ -214,7 +214,7 @@ def test_a_hello_of_another_version_can_be_read_and_may_hold_more():
     fields = {"version": 2, "fingerprint": "v2", "robots": [0], "tokens": ["t"], "resume": [3]}
     body = json.dumps(fields).encode()
     assert decode(framed(Kind.HELLO, body, version=2)) == Hello(2, "v2", [0], ["t"])
-    assert decode(framed(Kind.REFUSED, b"no", version=2)) == Refused("no")
+    assert decode(framed(Kind.REFUSED, b"no", version=2)) == Rejection("no")
 
 
 def test_texts_travel_as_one_short_line():
@@ -227,8 +227,8 @@ def test_texts_travel_as_one_short_line():
 @pytest.mark.parametrize(
     "message",
     [
-        Step(-1, 1, Want.ACTIONS, np.zeros(1, UPDATE)),
-        Step(1, 2**32, Want.ACTIONS, np.zeros(1, UPDATE)),
+        Step(-1, 1, Expect.ACTIONS, np.zeros(1, UPDATE)),
+        Step(1, 2**32, Expect.ACTIONS, np.zeros(1, UPDATE)),
         Actions(2**64, np.zeros(1, np.int32)),
         Weights(-1, np.zeros((2, 3), np.float32)),
         Weights(1, np.zeros(3, np.float32)),

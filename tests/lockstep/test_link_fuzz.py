@@ -29,12 +29,12 @@ from link_helpers import (
 )
 
 from lockstep import frames
-from lockstep.acceptor import MAX_NEWCOMERS
+from lockstep.acceptor import MAX_PENDING
 from lockstep.errors import FrameError, LinkError, LinkTimeout, RobotFailed, RobotLost
-from lockstep.frame_stream import Wire
+from lockstep.frame_stream import FrameStream
 from lockstep.frames import decode, encode
 from lockstep.local import LocalFleet
-from lockstep.messages import VERSION, Actions, Hello, Want, Weights, Welcome
+from lockstep.messages import VERSION, Actions, Expect, Hello, Weights, Welcome
 from lockstep.server import LinkServer
 from lockstep.tls import client_context, server_context
 from lockstep.wire_format import HEADER, Kind
@@ -89,7 +89,7 @@ def test_a_wire_gives_whole_frames_however_they_are_cut(sent, rest, data):
     ours, theirs = socket.socketpair()
     with ours, theirs:
         ours.setblocking(False)
-        wire, got = Wire(ours, limit), []
+        wire, got = FrameStream(ours, limit), []
         while stream and len(got) < len(sent):
             cut = data.draw(st.integers(1, 200))
             theirs.sendall(stream[:cut])
@@ -138,9 +138,9 @@ class _Disturbed:
     def __init__(self, fleet, disturb):
         self._fleet, self._disturb = fleet, disturb
 
-    def tell(self, *arguments):
+    def send_step(self, *arguments):
         self._disturb()
-        self._fleet.tell(*arguments)
+        self._fleet.send_step(*arguments)
 
     def __getattr__(self, name):
         return getattr(self._fleet, name)
@@ -188,8 +188,8 @@ def test_whatever_strangers_send_the_run_ends_in_the_same_bits(where, all_script
 
 
 @run_often
-@given(st.sampled_from(list(Want)), scripts)
-def test_whatever_an_admitted_robot_sends_it_is_named_and_the_next_round_is_sound(want, script):
+@given(st.sampled_from(list(Expect)), scripts)
+def test_whatever_an_admitted_robot_sends_it_is_named_and_the_next_round_is_sound(expect, script):
     with link() as server:
         server.admit(BLOCKS, TOKENS, SHAPE)
         bad = RawClient(server).hello((0,))
@@ -200,10 +200,10 @@ def test_whatever_an_admitted_robot_sends_it_is_named_and_the_next_round_is_soun
         bad.close()
         lost = None
         try:
-            server.tell(0, 1, want, updates(3, 0))
-            if want is Want.ACTIONS:
+            server.send_step(0, 1, expect, updates(3, 0))
+            if expect is Expect.ACTIONS:
                 assert server.actions(0).shape == (3,)
-            elif want is Want.WEIGHTS:
+            elif expect is Expect.WEIGHTS:
                 assert server.upload(1).shape == (3, *SHAPE)
         except (RobotLost, RobotFailed) as error:
             lost = error
@@ -225,7 +225,7 @@ def test_frames_may_come_byte_by_byte(make_link):
     drip(Hello(VERSION, "v1", [0], [token(0)]))
     link.server.wait_connected(PATIENCE_S)
     assert decode(raw.receive()) == Welcome()
-    link.server.tell(0, 1, Want.ACTIONS, updates(1, 0))
+    link.server.send_step(0, 1, Expect.ACTIONS, updates(1, 0))
     dripping = threading.Thread(target=drip, args=(Actions(0, np.array([7], np.int32)),))
     dripping.start()
     assert link.server.actions(0).tolist() == [7]
@@ -237,7 +237,7 @@ def test_who_drips_does_not_move_the_deadline(make_link):
     link.admit((0,))
     raw = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
-    link.server.tell(0, 1, Want.WEIGHTS, updates(1, 0))
+    link.server.send_step(0, 1, Expect.WEIGHTS, updates(1, 0))
     frame, ended = encode(Weights(1, np.zeros((1, *SHAPE), np.float32))), threading.Event()
 
     def drip():
@@ -255,7 +255,7 @@ def test_who_drips_does_not_move_the_deadline(make_link):
     dripping.join(PATIENCE_S)
 
 
-FLOOD = 2 * MAX_NEWCOMERS
+FLOOD = 2 * MAX_PENDING
 FLOODS = {
     "silence": b"",
     "garbage": b"x" * 200,
@@ -314,8 +314,8 @@ def test_newcomers_who_say_nothing_are_never_more_than_the_door_holds(make_link)
     before = descriptors()
     crowd = [link.raw() for _ in range(FLOOD)]
     honest_run(link.server)
-    assert descriptors() - before <= FLOOD + MAX_NEWCOMERS + len(BLOCKS)
-    assert sum(peer.at_end() for peer in crowd[:MAX_NEWCOMERS]) == MAX_NEWCOMERS
+    assert descriptors() - before <= FLOOD + MAX_PENDING + len(BLOCKS)
+    assert sum(peer.at_end() for peer in crowd[:MAX_PENDING]) == MAX_PENDING
 
 
 def test_an_admitted_robot_that_floods_is_lost_and_its_flood_is_not_kept(make_link):
@@ -323,7 +323,7 @@ def test_an_admitted_robot_that_floods_is_lost_and_its_flood_is_not_kept(make_li
     link.admit((0,), (1,))
     bad, other = link.raw().hello((0,)), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
-    link.server.tell(0, 1, Want.ACTIONS, updates(2, 0))
+    link.server.send_step(0, 1, Expect.ACTIONS, updates(2, 0))
     flood = encode(Actions(0, np.zeros(1, np.int32))) * 1000
     bad.sock.setblocking(False)
     with contextlib.suppress(BlockingIOError):

@@ -9,7 +9,7 @@ from link_helpers import PATIENCE_S, SHAPE, ask, drive, token, updates
 
 from lockstep.errors import Disconnected, LinkTimeout, Refused, RobotFailed, RobotLost, ServerLost
 from lockstep.frames import decode, encode
-from lockstep.messages import Actions, Begin, Halt, Ready, Want, Weights, Welcome
+from lockstep.messages import Abort, Ack, Actions, Expect, Restore, Weights, Welcome
 
 MODEL = np.arange(22, dtype=np.float32).reshape(SHAPE)
 
@@ -79,7 +79,7 @@ def test_answers_from_before_are_dropped_and_never_taken_for_new_ones(link):
     survivor, lost = link.raw().hello((0,)), link.raw().hello((1,))
     link.server.wait_connected(PATIENCE_S)
     assert [decode(raw.receive()) for raw in (survivor, lost)] == [Welcome()] * 2
-    link.server.tell(5, 1, Want.ACTIONS, updates(2, 5))
+    link.server.send_step(5, 1, Expect.ACTIONS, updates(2, 5))
     survivor.receive()
     lost.close()
     with pytest.raises(RobotLost, match="robot 1 lost at tick 5"):
@@ -93,12 +93,12 @@ def test_answers_from_before_are_dropped_and_never_taken_for_new_ones(link):
     beginning.start()
     for raw in (survivor, back):
         begin = decode(raw.receive())
-        assert isinstance(begin, Begin)
+        assert isinstance(begin, Restore)
         assert (begin.window, begin.model.tobytes()) == (20, MODEL.tobytes())
         raw.send(Weights(1, np.zeros((1, *SHAPE), np.float32)) if raw is survivor else b"")
-        raw.send(Ready(begin.number))
+        raw.send(Ack(begin.number))
     beginning.join(PATIENCE_S)
-    link.server.tell(5, 1, Want.ACTIONS, updates(2, 5))
+    link.server.send_step(5, 1, Expect.ACTIONS, updates(2, 5))
     for raw, action in ((survivor, 8), (back, 9)):
         raw.receive()
         raw.send(Actions(5, np.array([action], np.int32)))
@@ -111,7 +111,7 @@ def test_the_ready_of_an_earlier_beginning_does_not_count(make_link):
     raw = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
     raw.receive()
-    raw.send(Ready(0))
+    raw.send(Ack(0))
     with pytest.raises(LinkTimeout, match="robot 0 did not answer"):
         link.server.begin(3, None)
 
@@ -129,7 +129,7 @@ def test_the_server_knows_the_windows_that_all_have_now(link):
 
 def test_a_client_comes_back_by_itself_when_its_connection_breaks(link):
     link.admit((0,), (1,))
-    cut, other = link.client((0,), return_s=PATIENCE_S), link.client((1,))
+    cut, other = link.client((0,), reconnect_timeout_s=PATIENCE_S), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
     ask(link.server, 2, 0)
     seat = link.server._open.seats[(0,)]
@@ -145,7 +145,7 @@ def test_a_client_comes_back_by_itself_when_its_connection_breaks(link):
 
 def test_a_server_that_has_died_is_not_waited_for(link):
     link.admit((0,))
-    client = link.client((0,), return_s=600.0)
+    client = link.client((0,), reconnect_timeout_s=600.0)
     link.server.wait_connected(PATIENCE_S)
     ask(link.server, 1, 0)
     link.server._door.shut()
@@ -163,7 +163,7 @@ def test_without_a_time_to_return_a_broken_connection_is_the_end(link):
 
 def test_a_successors_tokens_shut_the_one_before_out(link):
     link.admit((0,), (1,))
-    before, other = link.client((0,), return_s=PATIENCE_S), link.client((1,))
+    before, other = link.client((0,), reconnect_timeout_s=PATIENCE_S), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
     link.server.renew((0,), {0: "fresh"})
     error = before.join()
@@ -195,9 +195,9 @@ def test_whoever_did_not_answer_in_time_is_out_and_may_come_back(make_link):
 
 def test_frames_of_a_beginning_hold_what_they_were_made_of():
     for model in (None, MODEL):
-        begin = decode(encode(Begin(3, 40, model)))
+        begin = decode(encode(Restore(3, 40, model)))
         assert (begin.number, begin.window) == (3, 40)
         assert (begin.model is None) if model is None else (begin.model == model).all()
-    assert decode(encode(Ready(9))) == Ready(9)
-    assert decode(encode(Ready(9, (20, 40)))) == Ready(9, (20, 40))
-    assert decode(encode(Halt(7))) == Halt(7)
+    assert decode(encode(Ack(9))) == Ack(9)
+    assert decode(encode(Ack(9, (20, 40)))) == Ack(9, (20, 40))
+    assert decode(encode(Abort(7))) == Abort(7)

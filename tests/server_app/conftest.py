@@ -19,7 +19,7 @@ from experiments.runtimes import local
 from lockstep import LinkServer
 from server_app import clients as clients_module
 from server_app.clients import Clients
-from server_app.recovery import Lifeline
+from server_app.recovery import RecoveringTrainer
 from training.checkpoint import latest
 
 Tiny = Callable[..., Config]
@@ -67,7 +67,7 @@ def run(hurried_flower: None) -> Iterator[Callable[..., dict[str, Any]]]:
         try:
             clients = Clients(config, cast(Grid, grid), link, sorted(grid.nodes)[:3])
             resumed = latest(folder / "state", 0) if resumes else None
-            Lifeline(config, folder, link, clients).train(resumed)
+            RecoveringTrainer(config, folder, link, clients).train(resumed)
         finally:
             link.close("the run has ended")
         summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())

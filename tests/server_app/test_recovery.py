@@ -13,7 +13,7 @@ import pytest
 from fake_grid import Client, FakeGrid
 from flwr.app import Context, Message
 
-from client_app.app import Order, train
+from client_app.app import RoundConfig, train
 from client_app.robots import RobotGroup
 from conf import Config
 from lockstep import LinkTimeout, RobotLost, ServerLost
@@ -388,5 +388,5 @@ def test_progress_says_who_is_waited_for(
 def test_an_order_names_the_round_and_the_certificate(deployed: Tiny, run: Any) -> None:
     grid = FakeGrid(3)
     run(deployed(), grid)
-    order = Order.read(grid.orders(1)[0])
+    order = RoundConfig.read(grid.orders(1)[0])
     assert (order.round, order.certificate, order.window) == (1, "", 0)

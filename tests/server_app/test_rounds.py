@@ -21,8 +21,8 @@ from flwr.app import (
 from flwr.serverapp import Grid
 from flwr.supercore.task_identity import TaskIdentity
 
-from client_app.app import Order, train
-from client_app.state import Keeper
+from client_app.app import RoundConfig, train
+from client_app.state import CheckpointedRobots
 from conf import Config, robot_network
 from env.seeding import Stream, stream
 from lockstep import LinkError, LinkServer, RobotLost, serve
@@ -30,7 +30,7 @@ from server_app.clients import Clients
 from server_app.nodes import RoundError, wait_for_nodes
 from server_app.rounds import FlowerFleet
 from storage.checkpoint_layout import robot_windows, round_folder
-from training.partition import deal
+from training.partition import partition_robots
 
 Tiny = Callable[..., Config]
 Play = Callable[..., Any]
@@ -105,7 +105,7 @@ def on_flower(tiny: Tiny, tmp_path: Path) -> Tiny:
 @pytest.mark.parametrize("robots", range(1, 9))
 def test_every_robot_is_dealt_once_in_even_blocks_of_neighbours(robots: int) -> None:
     for clients in range(1, robots + 1):
-        blocks = deal(robots, clients)
+        blocks = partition_robots(robots, clients)
         assert [robot for block in blocks for robot in block] == list(range(robots))
         sizes = {len(block) for block in blocks}
         assert max(sizes) - min(sizes) <= 1
@@ -187,7 +187,7 @@ def test_a_message_holds_what_its_node_needs_and_no_other_robots_secret(
     play(config, fleet=make_fleet(config, grid))
     first, second = grid.orders(0)
     assert (first["robots"], grid.orders(1)[0]["robots"]) == ([0, 1], [2])
-    order = Order.read(first)
+    order = RoundConfig.read(first)
     assert order.config == config
     assert order.address[0] == "127.0.0.1"
     tokens = [
@@ -334,9 +334,9 @@ def test_a_client_of_another_build_is_refused(
     config = on_flower()
 
     def outdated(message: Message, context: Context) -> Message:
-        order = Order.read(message.content.config_records["order"])
+        order = RoundConfig.read(message.content.config_records["order"])
         given = (order.address, order.robots, order.tokens)
-        robots = Keeper(order.config, order.robots, None)
+        robots = CheckpointedRobots(order.config, order.robots, None)
         serve(*given, robots, fingerprint="old", timeout_s=5, n_parameters=robots.parameters)
         raise AssertionError("it was let in")
 

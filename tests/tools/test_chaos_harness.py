@@ -24,12 +24,12 @@ from tools.chaos.kill_points import (
     MIDDLE,
     ROUND,
     WRITING,
-    Moment,
+    KillPoint,
     Watched,
     draw,
     newest,
 )
-from tools.chaos.process_tracker import MARK, Crowd, Deck, aim, role_of
+from tools.chaos.process_tracker import MARK, Deck, ProcessTracker, aim, role_of
 from tools.chaos.tasks import LOCAL, SIMULATION
 from tools.chaos.verdict import (
     damaged,
@@ -76,7 +76,7 @@ def test_a_crowd_holds_orphans_in_sessions_of_their_own_and_ends_them() -> None:
     launcher = subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, env=os.environ | {MARK: "here"}
     )
-    crowd = Crowd(launcher.pid, "here")
+    crowd = ProcessTracker(launcher.pid, "here")
     try:
         deadline = time.monotonic() + PATIENCE_S
         while len(crowd.roles()) < 2 and time.monotonic() < deadline:
@@ -88,7 +88,7 @@ def test_a_crowd_holds_orphans_in_sessions_of_their_own_and_ends_them() -> None:
         assert target.kill()
         launcher.wait()
         assert crowd.wait_gone(0.0)[0] == set(roles["other"])
-        assert set(roles["other"]) <= Crowd(launcher.pid, "here").alive()
+        assert set(roles["other"]) <= ProcessTracker(launcher.pid, "here").alive()
     finally:
         crowd.end()
         launcher.kill()
@@ -118,12 +118,12 @@ def says(folder: Path, state: str, at: float) -> None:
 def test_moments_are_told_by_what_this_process_has_written(tmp_path: Path) -> None:
     watched = Watched(tmp_path, 3, since=100.0)
     says(tmp_path, "finishing", 99.0)
-    assert not watched.reached(Moment(JOINING))
-    assert not watched.reached(Moment(FINISHING))
+    assert not watched.reached(KillPoint(JOINING))
+    assert not watched.reached(KillPoint(FINISHING))
     says(tmp_path, "starting", 101.0)
-    assert watched.reached(Moment(JOINING))
+    assert watched.reached(KillPoint(JOINING))
     says(tmp_path, "finishing", 102.0)
-    assert watched.reached(Moment(FINISHING))
+    assert watched.reached(KillPoint(FINISHING))
 
 
 def test_a_window_is_reached_with_its_checkpoint_and_a_round_with_any_robots(
@@ -131,10 +131,10 @@ def test_a_window_is_reached_with_its_checkpoint_and_a_round_with_any_robots(
 ) -> None:
     watched = Watched(tmp_path, 3, since=time.time() - 10)
     save_checkpoint(server_folder(tmp_path / "state"), 4, {}, {})
-    assert [watched.reached(Moment(MIDDLE, window)) for window in (4, 6)] == [True, False]
-    assert not watched.reached(Moment(ROUND, 20))
+    assert [watched.reached(KillPoint(MIDDLE, window)) for window in (4, 6)] == [True, False]
+    assert not watched.reached(KillPoint(ROUND, 20))
     save_checkpoint(round_folder(tmp_path / "state", 2), 20, {}, {})
-    assert watched.reached(Moment(ROUND, 20))
+    assert watched.reached(KillPoint(ROUND, 20))
     assert newest(tmp_path / "state", 3) == 20
 
 

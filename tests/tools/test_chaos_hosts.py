@@ -16,7 +16,7 @@ from experiments.cli import main as risfleet
 from tools.chaos import __main__ as suite
 from tools.chaos import fleet as fleets
 from tools.chaos import outages, report
-from tools.chaos.fleet import CONNECTION, Fleet, Node
+from tools.chaos.fleet import CONNECTION, ChaosFleet, Node
 from tools.chaos.hosts import TwoHosts, obstacle
 from tools.chaos.outages import OUTAGES, Ending, Outage
 
@@ -109,7 +109,7 @@ def test_a_supernode_that_ended_is_started_again_after_a_while(
 ) -> None:
     codes: list[int | None] = [None, 9, 9, 9, None]
     dead = SimpleNamespace(poll=lambda: codes.pop(0))
-    fleet = Fleet(SimpleNamespace(), tmp_path)  # type: ignore[arg-type]
+    fleet = ChaosFleet(SimpleNamespace(), tmp_path)  # type: ignore[arg-type]
     node = Node(tmp_path / "node-0", dead)  # type: ignore[arg-type]
     fleet.nodes = [node]
     now_s = iter([10.0, 10.0 + fleets.RESTART_S, 11.0 + fleets.RESTART_S])
@@ -128,7 +128,7 @@ def test_nothing_of_a_fleet_is_left_whatever_happens(tmp_path: Path) -> None:
     if why_not := obstacle():
         pytest.skip(why_not)
     hosts = TwoHosts()
-    with pytest.raises(RuntimeError), hosts, Fleet(hosts, tmp_path) as fleet:  # noqa: PT012
+    with pytest.raises(RuntimeError), hosts, ChaosFleet(hosts, tmp_path) as fleet:  # noqa: PT012
         crowd = fleet.crowd
         assert {"SuperLink", "SuperNode"} <= set(crowd.roles())
         raise RuntimeError

@@ -15,7 +15,7 @@ import pytest
 from tools.chaos import report
 from tools.chaos.__main__ import _chosen, play_reference, shares
 from tools.chaos.process_tracker import Deck
-from tools.chaos.scenario import Row, Story
+from tools.chaos.scenario import KillScenario, Row
 from tools.chaos.tasks import ALL, DEPLOYMENT, LOCAL, SIMULATION, Runtime
 
 SHORT = replace(LOCAL, windows=40)
@@ -34,7 +34,7 @@ def survive(runtime: Runtime, reference: Path, scratch: Path, kills: int, seed: 
     rng = random.Random(seed)
     own = scratch / "1"
     own.mkdir()
-    rows = Story(1, runtime, reference, own, kills, rng, Deck(runtime.roles, rng)).play()
+    rows = KillScenario(1, runtime, reference, own, kills, rng, Deck(runtime.roles, rng)).play()
     assert [row.reason for row in rows if not row.survived] == []
     return rows
 

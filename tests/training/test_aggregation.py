@@ -35,7 +35,7 @@ import conf
 from agent.networks.limits import WEIGHT_LIMIT, magnitude
 from conf import StrategyConfig
 from training.aggregation.aggregator import Aggregator, Scope
-from training.aggregation.flower_round import Weights
+from training.aggregation.flower_round import WeightRows
 from training.aggregation.strategies import STRATEGIES, build_aggregator, problems
 
 P = 203
@@ -60,7 +60,7 @@ def aggregator(rule: str, robots: int) -> Aggregator:
     return Aggregator(build(), robots, scope=scope)
 
 
-def weights(robots: int, seed: int = 0, spread: float = 0.01) -> tuple[Weights, Weights]:
+def weights(robots: int, seed: int = 0, spread: float = 0.01) -> tuple[WeightRows, WeightRows]:
     """What a window starts from, (2, P), and what it ends in, (K, 2, P)."""
     rng = np.random.default_rng(seed)
     current = rng.normal(size=(2, P)).astype(np.float32)
@@ -74,7 +74,9 @@ def fedadam(**changes: float) -> StrategyConfig:
     return StrategyConfig(name="fedadam", **{**sound, **changes})
 
 
-def play(aggregate: Aggregator, windows: Iterable[int], current: Weights, robots: int) -> Weights:
+def play(
+    aggregate: Aggregator, windows: Iterable[int], current: WeightRows, robots: int
+) -> WeightRows:
     """Several windows, each robot moving by a step that depends on robot and window alone."""
     for window in windows:
         steps = np.random.default_rng(window).normal(size=(robots, 2, P))
@@ -337,7 +339,7 @@ def test_weights_at_the_limit_are_taken() -> None:
 
 
 @given(hnp.arrays(np.float32, hnp.array_shapes(max_dims=3, max_side=6)))
-def test_the_magnitude_is_the_largest_and_nan_is_not_missed(array: Weights) -> None:
+def test_the_magnitude_is_the_largest_and_nan_is_not_missed(array: WeightRows) -> None:
     with np.errstate(invalid="ignore"):
         found = magnitude(array)
     assert np.isnan(found) if np.isnan(array).any() else found == np.abs(array).max()

@@ -18,10 +18,10 @@ from env.mdp.actions import ActionSpace
 from env.mdp.destinations import draw_destinations
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from env.world import Outcome, World
+from env.world import StepResult, World
 from experiments.runtimes import local
 from training.controllers.central import BranchingAgent, CentralAgent, JointAgent, joint_reward
-from training.controllers.policies import Exploration, Weights, frozen_policy
+from training.controllers.policies import Exploration, PolicyWeights, frozen_policy
 from training.coordinator import Coordinator
 from training.evaluation import Evaluator
 
@@ -41,7 +41,7 @@ class Spied(World):
 
     steps: list[SimpleNamespace]
 
-    def step(self, phase_action: Any, direction: Any, level: Any) -> Outcome:
+    def step(self, phase_action: Any, direction: Any, level: Any) -> StepResult:
         drove = self.driving[0].copy()
         outcome = super().step(phase_action, direction, level)
         move = SimpleNamespace(direction=direction[0], level=level[0], drove=drove)
@@ -160,7 +160,7 @@ def test_a_frozen_policy_decides_as_the_agent_does(config: Config) -> None:
             agent._epsilon = type(epsilon)(0.0, 0.0, 1)
             phase = agent.act(world.global_observation(), 10)
             direction, level = ActionSpace(config.env.power.levels).decode(agent.fleet.orders)
-            frozen = policy(world, Weights(weights[None], weights), Exploration(0, (0.0,), 1))
+            frozen = policy(world, PolicyWeights(weights[None], weights), Exploration(0, (0.0,), 1))
             driving = world.driving[0]
             assert phase == frozen.phase
             np.testing.assert_array_equal(direction[driving], frozen.direction[0][driving])
@@ -186,7 +186,7 @@ def test_exploring_takes_a_joint_action_whole_and_heads_one_by_one(config: Confi
     world = evaluator.world
     world.reset(np.tile(evaluator.starts[:1], (4000, 1)))
     agent = KINDS[config.scheme.agents](config)
-    weights = Weights(np.zeros((1, 0), np.float32), agent.weights()[0])
+    weights = PolicyWeights(np.zeros((1, 0), np.float32), agent.weights()[0])
     policy = frozen_policy(config, world)
     greedy = policy(world, weights, Exploration(0, (0.0,), 4000))
     random = policy(world, weights, Exploration(0, (0.5,), 4000))

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from client_app.state import Keeper
+from client_app.state import CheckpointedRobots
 from conf import Config, robot_network
 from env.mdp.actions import ActionSpace
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from env.world import Outcome, World
-from lockstep import LinkServer, ServerLost, Want, serve
+from env.world import StepResult, World
+from lockstep import Expect, LinkServer, ServerLost, serve
 from lockstep.messages import Flag
 from training.aggregation.strategies import build_aggregator
 from training.coordinator import Coordinator
@@ -35,7 +35,7 @@ class SpiedWorld(World):
     def __init__(self, config: Config) -> None:
         scenario = Scenario.drawn(config.env, config.seed)
         super().__init__(scenario, stream(config.seed, Stream.WORLD))
-        self.outcomes: list[Outcome] = []
+        self.outcomes: list[StepResult] = []
         self.reached: list[NDArray[np.int64]] = []
         self.starts: list[NDArray[np.int64]] = []
         self.phases: list[int] = []
@@ -47,7 +47,7 @@ class SpiedWorld(World):
         self.starts.append(self.cell[0])
         self.starts_db.append(self.measured_db[0])
 
-    def step(self, phase_action: Any, direction: Any, level: Any) -> Outcome:
+    def step(self, phase_action: Any, direction: Any, level: Any) -> StepResult:
         outcome = super().step(phase_action, direction, level)
         self.phases.append(int(phase_action[0]))
         self.outcomes.append(outcome)
@@ -65,8 +65,8 @@ class ScriptedFleet:
     homing: bool = True
     told: list[np.ndarray] = field(default_factory=list)
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        self.log.append(("tell", tick, window, want))
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        self.log.append(("send_step", tick, window, expect))
         self.told.append(updates.copy())
 
     def actions(self, tick: int) -> NDArray[np.int32]:
@@ -105,12 +105,16 @@ class ScriptedPoint:
         self.log.append(("act", tick))
         return np.array([tick % 4])
 
-    def settle(self, world: Any, phase: Any, level: Any) -> Any:
+    def finalize_phase(self, world: Any, phase: Any, level: Any) -> Any:
         return phase
 
-    def learn(self, state: Any, action: Any, outcome: Outcome, following: Any) -> None:
+    def learn(self, state: Any, action: Any, outcome: StepResult, next_observation: Any) -> None:
         self.log.append(("learn", int(action[0])))
-        seen = {"state": state, "following": following, "terminal": bool(outcome.terminated[0])}
+        seen = {
+            "state": state,
+            "next_observation": next_observation,
+            "terminal": bool(outcome.terminated[0]),
+        }
         self.learned.append(SimpleNamespace(**seen, reward=float(outcome.global_reward[0])))
 
     def weights(self) -> NDArray[np.float32]:
@@ -156,10 +160,10 @@ class Rig:
 
     def answers(self) -> list[np.ndarray]:
         """What the robots were told of each outcome."""
-        tells = self.named("tell")
-        before = [Want.WEIGHTS, *(event[3] for event in tells)]
+        tells = self.named("send_step")
+        before = [Expect.WEIGHTS, *(event[3] for event in tells)]
         pairs = zip(before, self.fleet.told, strict=False)
-        return [told for want, told in pairs if want is Want.ACTIONS]
+        return [told for expect, told in pairs if expect is Expect.ACTIONS]
 
 
 # --- The order of events --------------------------------------------------------------------------
@@ -169,27 +173,27 @@ def test_a_run_keeps_the_order_of_algorithm_1(tiny: Tiny) -> None:
     rig = Rig(tiny({"federation.every": 2, "train.max_ticks": 4}), homing=False)
     mean = np.full(SHAPE, 2.0).tolist()
     assert rig.log == [
-        ("tell", 0, 1, Want.ACTIONS),
+        ("send_step", 0, 1, Expect.ACTIONS),
         ("start",),
         ("act", 0),
         ("actions", 0),
-        ("tell", 1, 1, Want.ACTIONS),
+        ("send_step", 1, 1, Expect.ACTIONS),
         ("learn", 0),
         ("act", 1),
         ("actions", 1),
-        ("tell", 2, 1, Want.WEIGHTS),
+        ("send_step", 2, 1, Expect.WEIGHTS),
         ("learn", 1),
         ("upload", 1),
         ("download", 1, mean),
         ("window", 1, 2, (1, *SHAPE)),
-        ("tell", 2, 2, Want.ACTIONS),
+        ("send_step", 2, 2, Expect.ACTIONS),
         ("act", 2),
         ("actions", 2),
-        ("tell", 3, 2, Want.ACTIONS),
+        ("send_step", 3, 2, Expect.ACTIONS),
         ("learn", 2),
         ("act", 3),
         ("actions", 3),
-        ("tell", 4, 2, Want.FAREWELL),
+        ("send_step", 4, 2, Expect.END_ROUND),
         ("learn", 3),
         ("upload", 2),
         ("window", 2, 4, (1, *SHAPE)),
@@ -213,8 +217,8 @@ def test_the_first_step_of_a_window_carries_no_outcome(tiny: Tiny) -> None:
     rig = Rig(tiny({"train.max_ticks": 40}))
     firsts = [
         told
-        for event, told in zip(rig.named("tell"), rig.fleet.told, strict=True)
-        if event[3] is Want.ACTIONS and event[1] == 10 * (event[2] - 1)
+        for event, told in zip(rig.named("send_step"), rig.fleet.told, strict=True)
+        if event[3] is Expect.ACTIONS and event[1] == 10 * (event[2] - 1)
     ]
     assert len(firsts) == 4
     assert all((told["flags"] & (Flag.OUTCOME | Flag.ARRIVED) == 0).all() for told in firsts)
@@ -279,8 +283,8 @@ def test_the_access_point_learns_from_the_old_episode_and_acts_on_the_new_one(ti
     assert [step.terminal for step in learned] == [bool(o.terminated[0]) for o in outcomes]
     assert [step.reward for step in learned] == [float(o.global_reward[0]) for o in outcomes]
     for step, after, outcome in zip(learned, learned[1:], outcomes, strict=False):
-        assert np.array_equal(step.following, after.state) != step.terminal
-        assert bool((step.following == 0).all()) == bool(outcome.terminated[0])
+        assert np.array_equal(step.next_observation, after.state) != step.terminal
+        assert bool((step.next_observation == 0).all()) == bool(outcome.terminated[0])
 
 
 def test_a_time_out_is_not_terminal_to_the_access_point(tiny: Tiny) -> None:
@@ -288,7 +292,7 @@ def test_a_time_out_is_not_terminal_to_the_access_point(tiny: Tiny) -> None:
     assert rig.observed.lengths == [25, 25]
     assert not any(step.terminal for step in rig.ap.learned)
     end = rig.ap.learned[24]
-    assert not np.array_equal(end.following, rig.ap.learned[25].state)
+    assert not np.array_equal(end.next_observation, rig.ap.learned[25].state)
 
 
 # --- When a run ends ------------------------------------------------------------------------------
@@ -329,7 +333,7 @@ def test_a_stop_is_honoured_at_the_next_window_boundary(tiny: Tiny) -> None:
     rig = Rig(tiny({"train.max_ticks": 1000}), stop)
     assert rig.run.stopped
     assert (rig.run.progress.tick, rig.run.progress.window, len(calls)) == (20, 2, 2)
-    assert rig.named("tell")[-1] == ("tell", 20, 2, Want.FAREWELL)
+    assert rig.named("send_step")[-1] == ("send_step", 20, 2, Expect.END_ROUND)
     assert rig.log[-2:] == [("upload", 2), ("window", 2, 20, (1, *SHAPE))]
 
 
@@ -372,8 +376,10 @@ class TcpFleet:
 
     link: LinkServer
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        self.link.tell(tick, window, Want.WEIGHTS if want is Want.FAREWELL else want, updates)
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        self.link.send_step(
+            tick, window, Expect.WEIGHTS if expect is Expect.END_ROUND else expect, updates
+        )
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         return self.link.actions(tick)
@@ -398,7 +404,7 @@ def over_tcp(
     raised: list[BaseException] = []
 
     def client(block: tuple[int, ...]) -> None:
-        robots = Keeper(config, block, None)
+        robots = CheckpointedRobots(config, block, None)
         robots.begin(0, np.stack([first, first]))
         tokens = [f"secret-{robot}" for robot in block]
         options = {"fingerprint": "test", "timeout_s": 20.0, "n_parameters": shape[1]}

@@ -25,7 +25,7 @@ from training.recording.files import to_json
 from training.recording.history import EVALUATIONS, MEASURES, METRICS, History
 from training.recording.progress import Progress
 from training.recording.recorder import Recorder
-from training.session import STOP_FILE, Session
+from training.session import STOP_FILE, TrainingRun
 
 Tiny = Callable[..., Config]
 KEYS = ("ticks", "windows", "episodes", "wall_s", "steps_per_s", "flower_share", "seed", "cpu_s")
@@ -345,7 +345,7 @@ def test_a_stop_file_ends_a_run_at_the_next_window(tiny: Tiny, tmp_path: Path) -
 def test_a_session_begins_with_one_network_for_all_robots_and_both_rows(
     tiny: Tiny, tmp_path: Path
 ) -> None:
-    session = Session(tiny(), tmp_path)
+    session = TrainingRun(tiny(), tmp_path)
     first = session.initial_weights()
     session.recorder.close()
     assert np.array_equal(first[0], first[1])

@@ -17,7 +17,7 @@ from tools.chaos import links, outages, report
 from tools.chaos.attempt import Attempt
 from tools.chaos.hosts import obstacle
 from tools.chaos.process_tracker import Deck
-from tools.chaos.scenario import Row, Story
+from tools.chaos.scenario import KillScenario, Row
 from tools.chaos.tasks import ALL, LOCAL, Runtime
 
 MOST_A_RUN = {"local": 4, "simulation": 2, "deployment": 3}
@@ -149,7 +149,7 @@ def _play_all(
             own = scratch / str(number)
             own.mkdir()
             planned = min(share - done, rng.randint(1, MOST_A_RUN[runtime.name]))
-            story = Story(number, runtime, reference, own, planned, rng, decks[runtime.name])
+            story = KillScenario(number, runtime, reference, own, planned, rng, decks[runtime.name])
             played = story.play(
                 lambda row: console.print(_line(row), highlight=False, soft_wrap=True)
             )

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from experiments.flower.processes import Process, command
-from tools.chaos.kill_points import WRITING, Moment, Watched
-from tools.chaos.process_tracker import LAUNCHER, MARK, WATCHDOG, Crowd, Deck, aim
+from tools.chaos.kill_points import WRITING, KillPoint, Watched
+from tools.chaos.process_tracker import LAUNCHER, MARK, WATCHDOG, Deck, ProcessTracker, aim
 from tools.chaos.tasks import ROBOTS, Runtime
 
 ROOT = Path(__file__).parents[2]
@@ -37,7 +37,7 @@ class Hit:
         further_s: seconds until the server had a later checkpoint, None if it never had.
     """
 
-    moment: Moment
+    moment: KillPoint
     role: str
     window: int
     at: float
@@ -45,7 +45,7 @@ class Hit:
 
 
 @dataclass
-class Outcome:
+class AttemptOutcome:
     """How a process came to its end.
 
     Attributes:
@@ -100,7 +100,7 @@ class Attempt:
                 env=os.environ | extra,
                 start_new_session=True,
             )
-        self._crowd = Crowd(self._process.pid, mark)
+        self._crowd = ProcessTracker(self._process.pid, mark)
         self._watched = Watched(self._folder, ROBOTS, since)
         return self
 
@@ -109,7 +109,7 @@ class Attempt:
         self._crowd.end()
         self._process.wait()
 
-    def strike(self, moment: Moment, deck: Deck) -> bool:
+    def strike(self, moment: KillPoint, deck: Deck) -> bool:
         """Waits for a moment and kills a process; False if the command ended before.
 
         Args:
@@ -134,7 +134,7 @@ class Attempt:
         self._hits.append(Hit(moment, role, window, time.monotonic()))
         return True
 
-    def finish(self) -> Outcome:
+    def finish(self) -> AttemptOutcome:
         """Waits for the launcher's end, and for that of all other processes."""
         while self._is_running():
             if time.monotonic() - self._began > self._runtime.patience_s:
@@ -150,7 +150,7 @@ class Attempt:
         left_lines = [f"{row.pid} {command(row)[:200]}" for row in left]
         self._crowd.end()
         self._process.wait()
-        return Outcome(
+        return AttemptOutcome(
             status=HUNG if status is None else status,
             printed=self._printed.read_text(),
             errors=self._errors.read_text(),

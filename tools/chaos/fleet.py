@@ -23,7 +23,7 @@ from experiments.flower.processes import command
 from experiments.flower.variables import chosen
 from tools.chaos.attempt import ROOT
 from tools.chaos.hosts import ADDRESSES, Side, TwoHosts
-from tools.chaos.process_tracker import MARK, Crowd
+from tools.chaos.process_tracker import MARK, ProcessTracker
 
 HUB: Side = 0
 FAR: Side = 1
@@ -62,7 +62,7 @@ class Node:
     ended: float | None = None
 
 
-class Fleet:
+class ChaosFleet:
     """Starts the fleet on entry; on exit none of its processes is left.
 
     Args:
@@ -80,9 +80,9 @@ class Fleet:
         self._mark = uuid.uuid4().hex
         self._superlink: subprocess.Popen[str] | None = None
         self.nodes: list[Node] = []
-        self.crowd = Crowd(0, self._mark)
+        self.crowd = ProcessTracker(0, self._mark)
 
-    def __enter__(self) -> Fleet:
+    def __enter__(self) -> ChaosFleet:
         """Makes the keys, and starts SuperLink and SuperNodes.
 
         Raises:

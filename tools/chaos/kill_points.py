@@ -24,7 +24,7 @@ MIDDLE_S = 0.15
 
 
 @dataclass(frozen=True)
-class Moment:
+class KillPoint:
     """A kill comes ``delay_s`` after the run's folder shows what ``kind`` and ``window`` say."""
 
     kind: str
@@ -45,7 +45,7 @@ class Watched:
         self._folder, self._robots, self._since = folder, robots, since
         self.state = folder / STATE
 
-    def reached(self, moment: Moment) -> bool:
+    def reached(self, moment: KillPoint) -> bool:
         """Whether the folder shows that the moment is there, its delay aside."""
         if moment.kind == STARTING:
             return True
@@ -87,7 +87,7 @@ def newest(state: Path, robots: int) -> int:
     return max(checkpoints(server_folder(state)) + [w for place in places for w in place] + [0])
 
 
-def draw(rng: random.Random, runtime: Runtime, first: int) -> Moment:
+def draw(rng: random.Random, runtime: Runtime, first: int) -> KillPoint:
     """A random moment of a run that goes on after a window.
 
     Args:
@@ -103,15 +103,15 @@ def draw(rng: random.Random, runtime: Runtime, first: int) -> Moment:
     kinds += [ROUND, ROUND] if ends else []
     kind = rng.choice(kinds)
     if kind == STARTING:
-        return Moment(kind, delay_s=rng.uniform(0, runtime.starting_s))
+        return KillPoint(kind, delay_s=rng.uniform(0, runtime.starting_s))
     if kind == JOINING:
-        return Moment(kind, delay_s=rng.uniform(0, runtime.joining_s))
+        return KillPoint(kind, delay_s=rng.uniform(0, runtime.joining_s))
     if kind == FINISHING:
-        return Moment(kind, delay_s=rng.uniform(0, runtime.finishing_s))
+        return KillPoint(kind, delay_s=rng.uniform(0, runtime.finishing_s))
     if kind == ROUND:
-        return Moment(kind, rng.choice(ends), rng.uniform(0, 2 * MIDDLE_S))
+        return KillPoint(kind, rng.choice(ends), rng.uniform(0, 2 * MIDDLE_S))
     delay_s = 0.0 if kind == WRITING else rng.uniform(0, MIDDLE_S)
-    return Moment(kind, rng.choice(inside), delay_s)
+    return KillPoint(kind, rng.choice(inside), delay_s)
 
 
 def read_json(path: Path) -> dict[str, Any]:

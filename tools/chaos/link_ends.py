@@ -35,7 +35,7 @@ DATAGRAMS = 100
 DATAGRAM_SIZE = 100  # about a step of three robots
 
 
-class Timed:
+class TimedLink:
     """A fleet that remembers the longest wait for actions."""
 
     def __init__(self, fleet: LinkServer) -> None:
@@ -59,7 +59,7 @@ def run_server(host: str, ticks: int, timeout_s: float) -> None:
     """Drives the robots, and compares what they say with the same robots in this process."""
     block = tuple(range(ROBOTS))
     server = LinkServer(host, fingerprint="v1", timeout_s=timeout_s)
-    fleet = Timed(server)
+    fleet = TimedLink(server)
     server.admit([block], {robot: token(robot) for robot in block}, SHAPE)
     threading.Thread(target=echo, args=server.address, daemon=True).start()
     say(port=server.address[1])
@@ -85,7 +85,7 @@ def run_client(host: str, port: int, timeout_s: float) -> None:
     tokens = [token(robot) for robot in block]
     options = {"fingerprint": "v1", "timeout_s": JOIN_S, "n_parameters": PARAMETERS}
     try:
-        serve((host, port), block, tokens, Recorder(block), patience_s=timeout_s, **options)
+        serve((host, port), block, tokens, Recorder(block), idle_timeout_s=timeout_s, **options)
     except LinkError as error:
         say(error=type(error).__name__, message=str(error), bare_ms=bare_ms)
     else:

@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.table import Table
 
-from tools.chaos.fleet import Fleet, FleetError
+from tools.chaos.fleet import ChaosFleet, FleetError
 from tools.chaos.hosts import ADDRESSES, TwoHosts
 from tools.chaos.kill_points import Watched, read_json
 from tools.chaos.tasks import DEPLOYMENT, ROBOTS
@@ -91,7 +91,7 @@ def play(outage: Outage, reference: Path, scratch: Path) -> Ending:
     try:
         with (
             TwoHosts(outage.delay_ms, outage.loss_percent) as hosts,
-            Fleet(hosts, scratch) as fleet,
+            ChaosFleet(hosts, scratch) as fleet,
         ):
             ending.kind = hosts.kind
             _train(outage, hosts, fleet, folder, ending)
@@ -106,7 +106,9 @@ def play(outage: Outage, reference: Path, scratch: Path) -> Ending:
     return ending
 
 
-def _train(outage: Outage, hosts: TwoHosts, fleet: Fleet, folder: Path, ending: Ending) -> None:
+def _train(
+    outage: Outage, hosts: TwoHosts, fleet: ChaosFleet, folder: Path, ending: Ending
+) -> None:
     """Trains from the beginning to the end, with the outage in the middle."""
     began = time.monotonic()
     run = fleet.train(DEPLOYMENT.begin(folder))
@@ -138,7 +140,7 @@ def _train(outage: Outage, hosts: TwoHosts, fleet: Fleet, folder: Path, ending: 
     _judge(run, fleet, ending)
 
 
-def _judge(run: subprocess.Popen[str], fleet: Fleet, ending: Ending) -> None:
+def _judge(run: subprocess.Popen[str], fleet: ChaosFleet, ending: Ending) -> None:
     """Says why the command did not succeed, if it did not."""
     lines = fleet.said("hub/train").splitlines()[-20:]
     said = "\n".join(dict.fromkeys(lines))  # a display says its line again and again
@@ -148,7 +150,7 @@ def _judge(run: subprocess.Popen[str], fleet: Fleet, ending: Ending) -> None:
         ending.reasons.append(f"status {run.returncode}: {said!r}")
 
 
-def faults(outage: Outage, fleet: Fleet, folder: Path, reference: Path) -> list[str]:
+def faults(outage: Outage, fleet: ChaosFleet, folder: Path, reference: Path) -> list[str]:
     """What a finished run has otherwise than promised, a sentence each."""
     found = differences(folder, reference)
     for state in fleet.states:

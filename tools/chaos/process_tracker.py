@@ -46,7 +46,7 @@ def role_of(line: str) -> str:
     return next((role for role, pattern in ROLES.items() if re.search(pattern, line)), OTHER)
 
 
-class Crowd:
+class ProcessTracker:
     """A launcher and all that comes of it, wherever it has moved.
 
     A process belongs if it carries the mark, was seen below one that does, or is below one of
@@ -115,7 +115,7 @@ class Crowd:
 
 
 @dataclass(frozen=True)
-class Target:
+class KillTarget:
     """A process held by a descriptor, so that a kill is quick and can hit no other."""
 
     process: Process
@@ -132,7 +132,7 @@ class Target:
         return True
 
 
-def aim(process: Process) -> Target | None:
+def aim(process: Process) -> KillTarget | None:
     """Take hold of a process; None if it has gone."""
     try:
         handle = os.pidfd_open(process.pid)
@@ -141,7 +141,7 @@ def aim(process: Process) -> Target | None:
     if identify(process.pid) != process:  # its number is another's by now
         os.close(handle)
         return None
-    return Target(process, handle)
+    return KillTarget(process, handle)
 
 
 class Deck:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from storage.checkpoint_files import CheckpointError
-from tools.chaos.attempt import HUNG, Attempt, Hit, Outcome
-from tools.chaos.kill_points import Moment, draw, newest
+from tools.chaos.attempt import HUNG, Attempt, AttemptOutcome, Hit
+from tools.chaos.kill_points import KillPoint, draw, newest
 from tools.chaos.process_tracker import LAUNCHER, Deck
 from tools.chaos.tasks import ROBOTS, Runtime
 from tools.chaos.verdict import differences, has_ended, is_clear, resumed_window, unfinished
@@ -54,7 +54,7 @@ class Row:
 
 
 @dataclass
-class Story:
+class KillScenario:
     """Plays a run until it has ended, with as many kills as planned.
 
     Args:
@@ -106,7 +106,7 @@ class Story:
             self._reasons.append(f"not at its end after {ATTEMPTS} processes")
         return self._close()
 
-    def _attempt(self, given: list[str], folder: Path) -> Outcome:
+    def _attempt(self, given: list[str], folder: Path) -> AttemptOutcome:
         """One process, struck if a kill is left."""
         moments = self._plan(folder)
         expected = _common(folder)
@@ -128,7 +128,7 @@ class Story:
                 shutil.rmtree(self.scratch / name, ignore_errors=True)
         return outcome
 
-    def _plan(self, folder: Path) -> list[Moment]:
+    def _plan(self, folder: Path) -> list[KillPoint]:
         """The kills of the next process: one, or two where a run goes on by itself."""
         count = min(self.kills, 1)
         if self.runtime.name == "deployment" and self.kills > 1 and self.rng.random() < 0.4:
@@ -139,7 +139,7 @@ class Story:
             first = max(first, moments[-1].window)
         return moments
 
-    def _judge(self, outcome: Outcome, folder: Path) -> Iterator[Row]:
+    def _judge(self, outcome: AttemptOutcome, folder: Path) -> Iterator[Row]:
         """A row for each kill of a process; what was wrong becomes a reason of the run."""
         limit_s = self.runtime.ends_within_s
         launcher_died = any(hit.role == LAUNCHER for hit in outcome.hits)
@@ -158,7 +158,7 @@ class Story:
             row.unfinished = " ".join(unfinished(folder))
             yield row
 
-    def _row(self, hit: Hit, outcome: Outcome) -> Row:
+    def _row(self, hit: Hit, outcome: AttemptOutcome) -> Row:
         seconds = outcome.ended_s
         if outcome.status == 0:
             happened = "went on to its end"
@@ -170,7 +170,7 @@ class Story:
         place = (self.number, self.runtime.name, hit.role, hit.moment.kind, hit.window)
         return Row(*place, happened, round(seconds, 2))
 
-    def _has_nothing(self, outcome: Outcome, folder: Path) -> bool:
+    def _has_nothing(self, outcome: AttemptOutcome, folder: Path) -> bool:
         """Whether a resume was refused because there is nothing to go on from."""
         if not any(text in outcome.errors for text in NOTHING_YET):
             return False
@@ -202,13 +202,13 @@ def _common(folder: Path) -> int | None:
         return None
 
 
-def _had_ended(outcome: Outcome, folder: Path) -> bool:
+def _had_ended(outcome: AttemptOutcome, folder: Path) -> bool:
     """Whether a resume was refused because the run had ended before its process died."""
     refused = outcome.status == REFUSED and "the run has ended" in outcome.errors
     return refused and has_ended(folder)
 
 
-def _ending(outcome: Outcome) -> str:
+def _ending(outcome: AttemptOutcome) -> str:
     """How a process that did not succeed ended, in one line."""
     if outcome.status == HUNG:
         return "hung"

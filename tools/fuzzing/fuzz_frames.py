@@ -26,12 +26,12 @@ with atheris.instrument_imports(include=["lockstep", "json"]):
     import numpy as np
     from link_helpers import PARAMETERS, SHAPE, Recorder, token, updates
 
-    from lockstep.acceptor import Admission
+    from lockstep.acceptor import RoundCredentials
     from lockstep.client import serve
     from lockstep.errors import FrameError, LinkError, RobotFailed, RobotLost
-    from lockstep.frame_stream import Wire
+    from lockstep.frame_stream import FrameStream
     from lockstep.frames import decode, encode
-    from lockstep.messages import UPDATE, VERSION, Actions, Hello, Step, Want, Weights, Welcome
+    from lockstep.messages import UPDATE, VERSION, Actions, Expect, Hello, Step, Weights, Welcome
     from lockstep.server import LinkServer
     from lockstep.wire_format import HEADER, MAGIC, Kind
 
@@ -40,7 +40,7 @@ json.decoder.scanstring = json.decoder.py_scanstring
 json.scanner.make_scanner = json.decoder.scanner.make_scanner = json.scanner.py_make_scanner
 json._default_decoder = json.JSONDecoder()
 
-ADMISSION = Admission("v1", ((0,), (1, 2)), {robot: token(robot) for robot in range(3)})
+ADMISSION = RoundCredentials("v1", ((0,), (1, 2)), {robot: token(robot) for robot in range(3)})
 TIMEOUT_S = 5.0
 
 
@@ -76,7 +76,7 @@ class _Trickle:
 
 def wire(data):
     """A stream of frames in pieces: each is what `decode` makes of it, until the first bad one."""
-    reader = Wire(_Trickle(data), 2**16)
+    reader = FrameStream(_Trickle(data), 2**16)
     with contextlib.suppress(FrameError, EOFError):
         while True:
             frame = reader.receive()
@@ -98,8 +98,8 @@ def client(data):
     records, model = np.zeros(1, UPDATE), np.zeros((2, PARAMETERS), np.float32)
     sound = [
         Welcome(),
-        Step(0, 1, Want.ACTIONS, records),
-        Step(1, 1, Want.WEIGHTS, records),
+        Step(0, 1, Expect.ACTIONS, records),
+        Step(1, 1, Expect.WEIGHTS, records),
         Weights(1, model),
     ]
     count = data[0] % (len(sound) + 1) if data else 0
@@ -142,9 +142,9 @@ class _Server:
             self._server.wait_connected(TIMEOUT_S)
             sock.sendall(data)
             sock.shutdown(socket.SHUT_WR)
-            want = Want.WEIGHTS if mode & 2 else Want.ACTIONS
+            expect = Expect.WEIGHTS if mode & 2 else Expect.ACTIONS
             with contextlib.suppress(RobotLost, RobotFailed):
-                self._server.tell(0, 1, want, updates(1, 0))
+                self._server.send_step(0, 1, expect, updates(1, 0))
                 _ = self._server.upload(1) if mode & 2 else self._server.actions(0)
 
 
@@ -155,7 +155,7 @@ def seeds():
             yield HEADER.pack(MAGIC, VERSION, kind, 0, len(body)) + body
     yield encode(Hello(VERSION, "v1", [0], [token(0)]))
     yield encode(Hello(VERSION, "v1", [1, 2], [token(1), token(2)]))
-    yield encode(Step(1, 1, Want.ACTIONS, updates(2, 0)))
+    yield encode(Step(1, 1, Expect.ACTIONS, updates(2, 0)))
     yield encode(Actions(0, np.array([3], np.int32)))
     yield encode(Weights(1, np.zeros((1, *SHAPE), np.float32)))
     yield encode(Weights(1, np.zeros(SHAPE, np.float32)))

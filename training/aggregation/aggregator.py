@@ -26,7 +26,7 @@ from flwr.serverapp.strategy import FedAvg
 
 from agent.networks.limits import WEIGHT_LIMIT, magnitude
 from training.aggregation.flower_round import (
-    Weights,
+    WeightRows,
     client_config,
     configure,
     one_round,
@@ -82,7 +82,7 @@ class Aggregator:
         """What the strategy tells the clients, such as ``{"proximal-mu": 0.01}``."""
         return dict(self._client_config)
 
-    def aggregate(self, window: int, current: Weights, uploads: Weights) -> Weights:
+    def aggregate(self, window: int, current: WeightRows, uploads: WeightRows) -> WeightRows:
         """Aggregates one window.
 
         Args:
@@ -132,7 +132,7 @@ class Aggregator:
         for attribute in attributes:
             setattr(self._strategy, attribute, _unpack(attribute, state))
 
-    def _check(self, window: int, current: Weights, uploads: Weights) -> None:
+    def _check(self, window: int, current: WeightRows, uploads: WeightRows) -> None:
         if window < 1:
             raise ValueError(f"window {window}: windows are numbered from 1")
         expected = (self._robots, *current.shape)

@@ -16,7 +16,7 @@ from flwr.serverapp import Grid
 from flwr.serverapp.strategy import FedAvg
 from flwr.supercore.task_identity import TaskIdentity
 
-Weights = npt.NDArray[np.float32]
+WeightRows = npt.NDArray[np.float32]
 
 _ARRAY = "weights"
 
@@ -32,7 +32,7 @@ class _NodeList:
 
 
 def one_round(
-    strategy: FedAvg, window: int, current: Weights, uploads: Weights
+    strategy: FedAvg, window: int, current: WeightRows, uploads: WeightRows
 ) -> npt.NDArray[np.float64]:
     """Configures and aggregates: current (R, P) and uploads (K, R, P) give (R, P)."""
     told = configure(strategy, window, _record(current), len(uploads))
@@ -59,7 +59,7 @@ def _reply(strategy: FedAvg, message: Message, arrays: ArrayRecord) -> Message:
     return Message(content, reply_to=message)
 
 
-def _record(rows: Weights) -> ArrayRecord:
+def _record(rows: WeightRows) -> ArrayRecord:
     """A record with one array, since Flower's cost is by the array more than by the byte.
 
     Each message needs a record of its own: some strategies take the arrays out.

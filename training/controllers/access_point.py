@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from agent import DQN, BranchingDQN, epsilon_at
 from conf import Config, ap_network
 from env.seeding import Stream, stream
-from env.world import Outcome, World
+from env.world import StepResult, World
 
 
-class PhaseAgent(Protocol):
+class RisController(Protocol):
     """Who sets the RIS's phases: a DQN, a rule, or one agent that decides for the robots, too."""
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
@@ -26,7 +26,7 @@ class PhaseAgent(Protocol):
         """
         ...
 
-    def settle(
+    def finalize_phase(
         self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """The phase action that is set, shape (1,), once the power picks, (1, K), are known."""
@@ -36,8 +36,8 @@ class PhaseAgent(Protocol):
         self,
         state: NDArray[np.float32],
         action: NDArray[np.int64],
-        outcome: Outcome,
-        following: NDArray[np.float32],
+        outcome: StepResult,
+        next_observation: NDArray[np.float32],
     ) -> None:
         """Learns from what an action brought; arrays of one row each."""
         ...
@@ -56,7 +56,7 @@ class PhaseAgent(Protocol):
 
 
 class NetworkAgent(ABC):
-    """What the ``PhaseAgent``s that learn have in common: one network, its start and its state.
+    """What the ``RisController``s that learn have in common: one network, its start and its state.
 
     Args:
         config: the run's configuration.
@@ -77,22 +77,22 @@ class NetworkAgent(ABC):
     def _new_agent(self, generator: np.random.Generator) -> DQN | BranchingDQN:
         """Makes the agent, its weights zero."""
 
-    def settle(
+    def finalize_phase(
         self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """See ``PhaseAgent.settle``: it stays with what it chose."""
+        """See ``RisController.finalize_phase``: it stays with what it chose."""
         return phase
 
     def weights(self) -> NDArray[np.float32]:
-        """See ``PhaseAgent.weights``."""
+        """See ``RisController.weights``."""
         return np.asarray(self.agent.weights()[0])
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """See ``PhaseAgent.state``."""
+        """See ``RisController.state``."""
         return self.agent.agent_state(0)
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """See ``PhaseAgent.restore``."""
+        """See ``RisController.restore``."""
         self.agent.restore_agent(0, state)
 
 
@@ -114,16 +114,18 @@ class AccessPoint(NetworkAgent):
         return DQN(self.shape, agent, agent.discount.ap, [generator])
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
-        """See ``PhaseAgent.act``."""
+        """See ``RisController.act``."""
         return self.agent.act(state, epsilon_at(self._epsilon, tick), self._always)
 
     def learn(
         self,
         state: NDArray[np.float32],
         action: NDArray[np.int64],
-        outcome: Outcome,
-        following: NDArray[np.float32],
+        outcome: StepResult,
+        next_observation: NDArray[np.float32],
     ) -> None:
-        """See ``PhaseAgent.learn``: stores a transition and takes one gradient step."""
+        """See ``RisController.learn``: stores a transition and takes one gradient step."""
         reward, terminal = outcome.global_reward, outcome.terminated
-        self.agent.learn(state, action.astype(np.int32), reward, following, terminal, self._always)
+        self.agent.learn(
+            state, action.astype(np.int32), reward, next_observation, terminal, self._always
+        )

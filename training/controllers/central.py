@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from agent import DQN, NO_ACTION, BranchingDQN, epsilon_at
 from conf import Config, central_heads
 from env.mdp.actions import ActionSpace
-from env.world import Outcome
-from lockstep import Flag, Want
+from env.world import StepResult
+from lockstep import Expect, Flag
 from training.controllers.access_point import NetworkAgent
 
 DRIVING = np.uint16(Flag.DRIVING)
@@ -37,8 +37,8 @@ class CommandedFleet:
         self.driving = np.zeros(robots, dtype=bool)
         self.orders = np.full(robots, NO_ACTION, np.int32)
 
-    def tell(self, tick: int, window: int, want: Want, updates: np.ndarray) -> None:
-        """See ``Fleet.tell``."""
+    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
+        """See ``Fleet.send_step``."""
         self.driving = (updates["flags"] & DRIVING) != 0
 
     def actions(self, tick: int) -> NDArray[np.int32]:
@@ -82,8 +82,8 @@ class CentralAgent(NetworkAgent):
         self,
         state: NDArray[np.float32],
         action: NDArray[np.int64],
-        outcome: Outcome,
-        following: NDArray[np.float32],
+        outcome: StepResult,
+        next_observation: NDArray[np.float32],
     ) -> None:
         """See ``PhaseAgent.learn``."""
 
@@ -117,13 +117,13 @@ class JointAgent(CentralAgent):
         self,
         state: NDArray[np.float32],
         action: NDArray[np.int64],
-        outcome: Outcome,
-        following: NDArray[np.float32],
+        outcome: StepResult,
+        next_observation: NDArray[np.float32],
     ) -> None:
         """See ``PhaseAgent.learn``."""
         reward = joint_reward(outcome, self._config.scheme.global_share)
         always = np.ones(1, dtype=bool)
-        self.agent.learn(state, self._joint, reward, following, outcome.terminated, always)
+        self.agent.learn(state, self._joint, reward, next_observation, outcome.terminated, always)
 
 
 class BranchingAgent(CentralAgent):
@@ -149,8 +149,8 @@ class BranchingAgent(CentralAgent):
         self,
         state: NDArray[np.float32],
         action: NDArray[np.int64],
-        outcome: Outcome,
-        following: NDArray[np.float32],
+        outcome: StepResult,
+        next_observation: NDArray[np.float32],
     ) -> None:
         """See ``PhaseAgent.learn``."""
         rewards = np.concatenate([outcome.global_reward, outcome.local_reward[0]])
@@ -158,10 +158,10 @@ class BranchingAgent(CentralAgent):
             rewards[:] = joint_reward(outcome, self._config.scheme.global_share)
         active = np.concatenate([[True], outcome.drove[0]])
         ended = np.concatenate([outcome.terminated, outcome.arrived[0]])
-        self.agent.learn(state[0], self._parts, rewards, following[0], ended, active)
+        self.agent.learn(state[0], self._parts, rewards, next_observation[0], ended, active)
 
 
-def joint_reward(outcome: Outcome, global_share: float) -> NDArray[np.float64]:
+def joint_reward(outcome: StepResult, global_share: float) -> NDArray[np.float64]:
     """Baseline 1's reward, sum_k r_{L,k} + r_G / 10.
 
     Args:

@@ -12,7 +12,7 @@ from conf import Config
 from env.mdp.reward import metric
 from env.oracles import per_slot
 from env.seeding import Stream, stream
-from env.world import Outcome, World
+from env.world import StepResult, World
 from storage.generators import generator_state, restore_generator
 
 PLACEMENTS = 2000
@@ -66,18 +66,18 @@ class PhaseRule:
             return self._generator.integers(self._actions, size=1)
         return self._fixed
 
-    def settle(
+    def finalize_phase(
         self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """See ``PhaseAgent.settle``: the oracle's is the best for the robots' picks."""
+        """See ``PhaseAgent.finalize_phase``: the oracle's is the best for the robots' picks."""
         return per_slot.best_phase(world, level) if self._rule == "oracle" else phase
 
     def learn(
         self,
         state: NDArray[np.float32],
         action: NDArray[np.int64],
-        outcome: Outcome,
-        following: NDArray[np.float32],
+        outcome: StepResult,
+        next_observation: NDArray[np.float32],
     ) -> None:
         """See ``PhaseAgent.learn``."""
 

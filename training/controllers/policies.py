@@ -17,7 +17,7 @@ from env.world import World
 from training.controllers.phase_rules import fixed_phase
 
 
-class Weights(NamedTuple):
+class PolicyWeights(NamedTuple):
     """Online weights of each robot, (K, P), or of all, (1, P), and of the access point, (P_AP,)."""
 
     robots: NDArray[np.float32]
@@ -64,7 +64,7 @@ class Exploration:
         return np.concatenate(drawn)
 
 
-Policy = Callable[[World, Weights, Exploration], Decision]
+Policy = Callable[[World, PolicyWeights, Exploration], Decision]
 
 
 def frozen_policy(config: Config, world: World) -> Policy:
@@ -112,7 +112,7 @@ class _Federated:
     def __init__(self, config: Config) -> None:
         self._ap, self._robots = ap_network(config), _Robots(config)
 
-    def __call__(self, world: World, weights: Weights, exploration: Exploration) -> Decision:
+    def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         local = world.local_observations()
         values = _values(self._ap, weights.ap, world.global_observation(local))
         phase = exploration(np.asarray(values.argmax(axis=-1)), self._ap.actions)
@@ -131,7 +131,7 @@ class _Ruled:
         fixed = fixed_phase(world, config.env.map_seed) if self._rule == "fixed" else 0
         self._fixed = np.array(fixed)
 
-    def __call__(self, world: World, weights: Weights, exploration: Exploration) -> Decision:
+    def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         if self._drive == "shortest_best":
             slots = world.slot[:, None] + world.shortest_slots
             weights_5a = per_slot.objective_weights(world, slots)
@@ -165,7 +165,7 @@ class _Joint:
         self._shape = ap_network(config)
         self._robots, self._actions = config.env.robots, ActionSpace.from_config(config.env)
 
-    def __call__(self, world: World, weights: Weights, exploration: Exploration) -> Decision:
+    def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         values = _values(self._shape, weights.ap, world.global_observation())
         joint = exploration(np.asarray(values.argmax(axis=-1)), self._shape.actions)
         phase, robots = self._actions.joint_decode(joint, self._robots)
@@ -179,7 +179,7 @@ class _Heads:
         self._shape, self._heads = ap_network(config), central_heads(config)
         self._actions = ActionSpace.from_config(config.env)
 
-    def __call__(self, world: World, weights: Weights, exploration: Exploration) -> Decision:
+    def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         values = _values(self._shape, weights.ap, world.global_observation())
         best, (phases, robots) = self._heads.best(values), self._heads.sizes[:2]
         phase = exploration(best[:, 0].copy(), phases)

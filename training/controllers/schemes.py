@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from conf import Config
 from env.world import World
-from training.controllers.access_point import AccessPoint, PhaseAgent
+from training.controllers.access_point import AccessPoint, RisController
 from training.controllers.central import BranchingAgent, CentralAgent, JointAgent
 from training.controllers.phase_rules import PhaseRule
 
 
-def build_phase_agent(config: Config, world: World) -> PhaseAgent:
+def build_ris_controller(config: Config, world: World) -> RisController:
     """Who steers the RIS, as the run begins; a ``CentralAgent`` commands the robots, too.
 
     Args:

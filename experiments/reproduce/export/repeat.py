@@ -30,7 +30,7 @@ COLUMNS = ("target", "cell", "seed", "overrides", "computed_by", "episode", "tic
 
 
 @dataclass(frozen=True)
-class Kept:
+class RegressionRun:
     """The first episodes of a run.
 
     Attributes:
@@ -77,14 +77,14 @@ def write(folder: Path, rows: Sequence[Row]) -> Path:
     return folder / FILE
 
 
-def read(folder: Path) -> list[Kept]:
+def read(folder: Path) -> list[RegressionRun]:
     """What the file of a folder keeps, a run each."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     with (folder / FILE).open(encoding="utf-8-sig", newline="") as file:
         for row in csv.DictReader(file):
             groups.setdefault(tuple(row[name] for name in COLUMNS[:5]), []).append(row)
     return [
-        Kept(target, cell, int(seed), tuple(overrides.split()), by, *_numbers(rows))
+        RegressionRun(target, cell, int(seed), tuple(overrides.split()), by, *_numbers(rows))
         for (target, cell, seed, overrides, by), rows in groups.items()
     ]
 
@@ -93,7 +93,7 @@ def _numbers(rows: Sequence[Mapping[str, Any]]) -> list[Floats]:
     return [np.array([float(row[name]) for row in rows]) for name in ("tick", "reward")]
 
 
-def again(kept: Kept, folder: Path) -> Run:
+def rerun(kept: RegressionRun, folder: Path) -> Run:
     """Trains the first ticks of a run again.
 
     Args:

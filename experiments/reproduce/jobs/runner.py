@@ -14,7 +14,7 @@ from experiments.batch.launcher import build_launcher
 from experiments.batch.states import State, folder_of, state_of
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.targets.plan import Cell, configs
-from experiments.runtimes.folders import held
+from experiments.runtimes.folders import folder_lock
 
 
 class Plan:
@@ -50,7 +50,9 @@ class Plan:
         }
 
 
-def train(plan: Plan, workers: int | None, hydra: Sequence[str], console: Console) -> batch.Outcome:
+def train(
+    plan: Plan, workers: int | None, hydra: Sequence[str], console: Console
+) -> batch.BatchOutcome:
     """Trains every run of a plan that is not done.
 
     Args:
@@ -75,4 +77,6 @@ def alone(store: Path) -> AbstractContextManager[None]:
     Raises:
         ConfigError: another process holds it.
     """
-    return held(store, ("--out", store.parent, "a folder in which nothing is being reproduced"))
+    return folder_lock(
+        store, ("--out", store.parent, "a folder in which nothing is being reproduced")
+    )

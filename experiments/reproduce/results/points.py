@@ -15,7 +15,7 @@ PLANNED_AGAIN = "planned, reallocate"
 """Under OMA, with the parts of robots that have arrived dealt out again."""
 
 
-class Outcome(NamedTuple):
+class PointOutcome(NamedTuple):
     """What one run came to, or what was planned for its starts.
 
     Attributes:
@@ -49,7 +49,7 @@ class Outcome(NamedTuple):
 
 
 class Of(NamedTuple):
-    """What an outcome is of, as the first five of ``Outcome``."""
+    """What an outcome is of, as the first five of ``PointOutcome``."""
 
     robots: int
     side: int
@@ -66,7 +66,7 @@ class Point(NamedTuple):
         side: M_R.
         max_dbm: P_max in dBm.
         access: noma or oma.
-        curve: as in ``Outcome``.
+        curve: as in ``PointOutcome``.
         seeds: how many.
         ee: mean over seeds in bit/s/Hz/J.
         low: of its 95 % bootstrap interval, nan with one seed.
@@ -86,9 +86,9 @@ class Point(NamedTuple):
     success: float
 
 
-def points(found: Sequence[Outcome]) -> list[Point]:
+def points(found: Sequence[PointOutcome]) -> list[Point]:
     """Means and intervals over seeds, in the order of their first outcome."""
-    groups: dict[Of, list[Outcome]] = {}
+    groups: dict[Of, list[PointOutcome]] = {}
     for each in found:
         groups.setdefault(Of(*each[:5]), []).append(each)
     drawn = []

@@ -63,7 +63,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Times:
+class ConvergenceTimes:
     """When runs of several seeds converged.
 
     Attributes:
@@ -115,7 +115,7 @@ def difference(ours: ArrayLike, theirs: ArrayLike) -> Estimate:
     return estimate(np.asarray(ours, float) - np.asarray(theirs, float))
 
 
-def converged(times: Times) -> Estimate:
+def converged(times: ConvergenceTimes) -> Estimate:
     """The interquartile mean of convergence times.
 
     With runs that never converged it is a lower bound, unless they are the quarter that is left
@@ -129,7 +129,7 @@ def converged(times: Times) -> Estimate:
     return Estimate(value, low, high, count, bound)
 
 
-def reduction(ours: Times, theirs: Times) -> Estimate:
+def reduction(ours: ConvergenceTimes, theirs: ConvergenceTimes) -> Estimate:
     """The share of their time that ours is less, 1 - iqm(ours) / iqm(theirs), seeds paired.
 
     With rivals that never converged it is at least that, with runs of ours at most, with both
@@ -163,7 +163,7 @@ def mean_band(curves: ArrayLike) -> tuple[Floats, Floats, Floats]:
     return found.mean(axis=0), low, high
 
 
-def times(runs: Sequence[Run], unit: str) -> Times:
+def times(runs: Sequence[Run], unit: str) -> ConvergenceTimes:
     """When runs converged.
 
     Args:
@@ -172,7 +172,7 @@ def times(runs: Sequence[Run], unit: str) -> Times:
             evaluation, the evaluations included.
     """
     found = [_time(run, unit) for run in runs]
-    return Times(
+    return ConvergenceTimes(
         np.array([value for value, _ in found], float), np.array([open_ for _, open_ in found])
     )
 

@@ -16,7 +16,7 @@ from training.evaluation import Evaluator, Served
 
 
 @dataclass
-class Along:
+class Trace:
     """The slots of B episodes, as they are played; ``see`` fits ``Evaluator.play``.
 
     Attributes:
@@ -53,7 +53,7 @@ class Along:
 
 
 @dataclass(frozen=True)
-class Drive:
+class PlayedEpisodes:
     """Episodes that have been played.
 
     Attributes:
@@ -64,7 +64,7 @@ class Drive:
     """
 
     measures: EpisodeMeasures
-    along: Along
+    along: Trace
     end: NDArray[np.int64]
     world: World
 
@@ -88,7 +88,7 @@ def learned(
     evaluator: Evaluator,
     weights: tuple[NDArray[np.float32], NDArray[np.float32]],
     epsilon: float,
-) -> Drive:
+) -> PlayedEpisodes:
     """Plays frozen weights.
 
     Args:
@@ -96,21 +96,21 @@ def learned(
         weights: online weights of robots, (K, P), and access point, (P_AP,).
         epsilon: probability of a random action.
     """
-    along = Along()
+    along = Trace()
     (measures,) = evaluator.play(*weights, (epsilon,), serve=along.see)
-    return Drive(measures, along, evaluator.world.cell, evaluator.world)
+    return PlayedEpisodes(measures, along, evaluator.world.cell, evaluator.world)
 
 
-def planned(evaluator: Evaluator, slack: int = SLACK) -> Drive:
+def planned(evaluator: Evaluator, slack: int = SLACK) -> PlayedEpisodes:
     """Plans the episodes' best trajectories (``env.oracles.trajectory``) and plays them.
 
     Args:
         evaluator: the episodes.
         slack: extra slots that a robot may take.
     """
-    along = Along()
+    along = Trace()
     measures = optimality_gap.trajectory_measures(evaluator, slack, watch=along.see)
-    return Drive(measures, along, evaluator.world.cell, evaluator.world)
+    return PlayedEpisodes(measures, along, evaluator.world.cell, evaluator.world)
 
 
 def mirrored(config: Config) -> Evaluator:

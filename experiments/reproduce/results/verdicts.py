@@ -22,7 +22,7 @@ import numpy as np
 from experiments.reproduce.results.statistics import Estimate
 
 
-class Result(Enum):
+class ClaimResult(Enum):
     """What a check came to."""
 
     HOLDS = "holds"
@@ -47,13 +47,13 @@ class Check:
     above: bool = True
 
     @property
-    def result(self) -> Result:
+    def result(self) -> ClaimResult:
         """See the module."""
         low, high = _ends(self.number)
         larger, smaller = low > self.threshold, high < self.threshold
         if not larger and not smaller:
-            return Result.OPEN
-        return Result.HOLDS if larger == self.above else Result.FAILS
+            return ClaimResult.OPEN
+        return ClaimResult.HOLDS if larger == self.above else ClaimResult.FAILS
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,11 @@ class Claim:
     def verdict(self) -> str:
         """See the module."""
         counts = Counter(check.result for check in self.checks)
-        if counts[Result.HOLDS] == len(self.checks):
+        if counts[ClaimResult.HOLDS] == len(self.checks):
             return "holds"
-        if counts[Result.HOLDS]:
+        if counts[ClaimResult.HOLDS]:
             return f"depends on {', '.join(self.axes)}"
-        return "does not hold" if counts[Result.FAILS] else "not shown"
+        return "does not hold" if counts[ClaimResult.FAILS] else "not shown"
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -109,11 +109,11 @@ class Claim:
             by_result = self._by_result(self.axes)
             return "; ".join(
                 f"{result.value}: {', '.join(value for (value,) in by_result[result])}"
-                for result in Result
+                for result in ClaimResult
                 if result in by_result
             )
         counts = Counter(check.result for check in self.checks)
-        told = [f"{result.value} in {counts[result]}" for result in Result if counts[result]]
+        told = [f"{result.value} in {counts[result]}" for result in ClaimResult if counts[result]]
         return f"{', '.join(told)} of {len(self.checks)} settings"
 
     @property
@@ -129,9 +129,9 @@ class Claim:
     def _groups(self, axes: Sequence[str]) -> set[tuple[str, ...]]:
         return {tuple(check.setting[axis] for axis in axes) for check in self.checks}
 
-    def _by_result(self, axes: Sequence[str]) -> dict[Result, dict[tuple[str, ...], None]]:
+    def _by_result(self, axes: Sequence[str]) -> dict[ClaimResult, dict[tuple[str, ...], None]]:
         """The values of some axes with which a check comes to each result, in their order."""
-        found: dict[Result, dict[tuple[str, ...], None]] = {}
+        found: dict[ClaimResult, dict[tuple[str, ...], None]] = {}
         for check in self.checks:
             values = tuple(check.setting[axis] for axis in axes)
             found.setdefault(check.result, {})[values] = None

@@ -6,7 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from experiments.reproduce.results.points import LEARNED, PLANNED, PLANNED_AGAIN, Of, Outcome, mean
+from experiments.reproduce.results.points import (
+    LEARNED,
+    PLANNED,
+    PLANNED_AGAIN,
+    Of,
+    PointOutcome,
+    mean,
+)
 from experiments.reproduce.results.statistics import Floats, estimate
 from experiments.reproduce.results.verdicts import Check, Claim
 
@@ -32,7 +39,7 @@ Pairs = Iterator[tuple[dict[str, str], Floats]]
 """Where two settings are compared, and what their difference is, seed by seed."""
 
 
-def fig4_claims(found: Sequence[Outcome]) -> list[Claim]:
+def fig4_claims(found: Sequence[PointOutcome]) -> list[Claim]:
     """What the paper says of Fig. 4, of learned policies and of planned ones.
 
     Args:

@@ -15,8 +15,8 @@ from experiments.reproduce.results.points import (
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
-    Outcome,
     Point,
+    PointOutcome,
     points,
 )
 from experiments.reproduce.results.runs import Run, Runs
@@ -39,7 +39,7 @@ QUICK = ("train.episodes=150", "agent.epsilon.ticks=5000", "evaluation.episodes=
 """Half of the training, explored in half the time, and fewer starts to play and to plan."""
 
 
-class Setting(NamedTuple):
+class Fig4Setting(NamedTuple):
     """A point of the figure.
 
     Attributes:
@@ -70,11 +70,11 @@ class Setting(NamedTuple):
         )
 
 
-def settings(quick: bool) -> list[Setting]:
+def settings(quick: bool) -> list[Fig4Setting]:
     """All points of the figure."""
     full = (ROBOTS, SIDES, POWERS_DBM)
     robots, sides, powers_dbm = (QUICK_ROBOTS, QUICK_SIDES, QUICK_POWERS_DBM) if quick else full
-    return [Setting(*each) for each in product(robots, sides, powers_dbm, ACCESSES)]
+    return [Fig4Setting(*each) for each in product(robots, sides, powers_dbm, ACCESSES)]
 
 
 class Named(Protocol):
@@ -131,7 +131,7 @@ class Fig4:
         return [
             *save_figure(draw(drawn, note), out, self.name, quick=quick),
             write_csv(out / "fig4.csv", Point._fields, drawn),
-            write_csv(out / "fig4_runs.csv", Outcome._fields, found),
+            write_csv(out / "fig4_runs.csv", PointOutcome._fields, found),
             write_comparisons(out / "fig4_comparisons.csv", found),
             write_points(out / "fig4.md", drawn, note.replace("\n", " ")),
             out / "planned.csv",
@@ -142,8 +142,8 @@ TARGET = Fig4()
 
 
 def outcomes(
-    runs: Runs, which: Sequence[Setting], file: Path, processes: int | None = None
-) -> list[Outcome]:
+    runs: Runs, which: Sequence[Fig4Setting], file: Path, processes: int | None = None
+) -> list[PointOutcome]:
     """What every run came to, and what is planned for its starts.
 
     Args:
@@ -163,14 +163,14 @@ def outcomes(
     found = [_learned(each, run) for each, run in trained]
     for (each, curve, config), value in zip(plans, values, strict=True):
         found.append(
-            Outcome(*each, curve, config.seed, value.ee, 1.0, value.sum_rate, value.min_rate)
+            PointOutcome(*each, curve, config.seed, value.ee, 1.0, value.sum_rate, value.min_rate)
         )
     return found
 
 
-def _learned(setting: Setting, run: Run) -> Outcome:
+def _learned(setting: Fig4Setting, run: Run) -> PointOutcome:
     last, greedy = (run.summary["evaluation"][name] for name in ("last5", "last5_greedy"))
-    return Outcome(
+    return PointOutcome(
         *setting,
         LEARNED,
         run.seed,

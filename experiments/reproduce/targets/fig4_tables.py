@@ -9,7 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.reproduce.results.output import write_csv, write_table
-from experiments.reproduce.results.points import PLANNED, PLANNED_AGAIN, Of, Outcome, Point, mean
+from experiments.reproduce.results.points import (
+    PLANNED,
+    PLANNED_AGAIN,
+    Of,
+    Point,
+    PointOutcome,
+    mean,
+)
 from experiments.reproduce.results.statistics import Estimate, estimate
 
 AXES = {"robots": "K = {} over {}", "side": "M_R = {} over {}", "max_dbm": "{} over {} dBm"}
@@ -58,14 +65,14 @@ def write_points(file: Path, drawn: Sequence[Point], note: str) -> Path:
     return write_table(file, header, cells, f"EE in bit/s/Hz/J. {note}")
 
 
-def write_comparisons(file: Path, found: Sequence[Outcome]) -> Path:
+def write_comparisons(file: Path, found: Sequence[PointOutcome]) -> Path:
     """Writes every comparison of neighbours."""
     return write_csv(file, Comparison._fields, comparisons(found))
 
 
-def comparisons(found: Sequence[Outcome]) -> list[Comparison]:
+def comparisons(found: Sequence[PointOutcome]) -> list[Comparison]:
     """NOMA over OMA, and each K, M_R and P_max over the next smaller one."""
-    groups: dict[Of, dict[int, Outcome]] = {}
+    groups: dict[Of, dict[int, PointOutcome]] = {}
     for each in found:
         groups.setdefault(Of(*each[:5]), {})[each.seed] = each
     return [
@@ -90,7 +97,7 @@ def _neighbours(ours: Of, there: Sequence[Of]) -> Iterator[tuple[str, Of]]:
 
 
 def _compared(
-    what: str, of: Of, ours: dict[int, Outcome], theirs: dict[int, Outcome]
+    what: str, of: Of, ours: dict[int, PointOutcome], theirs: dict[int, PointOutcome]
 ) -> Comparison:
     pairs = [(ours[seed], theirs[seed]) for seed in ours if seed in theirs]
     found = estimate([100.0 * (one.ee / other.ee - 1.0) for one, other in pairs], mean)

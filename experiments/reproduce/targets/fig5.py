@@ -11,7 +11,7 @@ from experiments.reproduce.results.output import save_figure, write_csv
 from experiments.reproduce.results.planning import planned_values
 from experiments.reproduce.results.points import LEARNED, PLANNED
 from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.results.trace import Drive, learned, mirrored, planned
+from experiments.reproduce.results.trace import PlayedEpisodes, learned, mirrored, planned
 from experiments.reproduce.targets.fig4 import cells_of
 from experiments.reproduce.targets.fig5_drawing import Shown, draw_along, draw_ways
 from experiments.reproduce.targets.plan import Cell
@@ -27,7 +27,7 @@ ONE_START, HELD_OUT = "the figure's", "held out"
 Values = dict[str, object]
 
 
-class Setting(NamedTuple):
+class Fig5Setting(NamedTuple):
     """A panel's part.
 
     Attributes:
@@ -49,9 +49,9 @@ class Setting(NamedTuple):
         return f"env.robots={ROBOTS}", f"env.ris.side={self.side}", f"env.metric={self.metric}"
 
 
-def settings(quick: bool) -> list[Setting]:
+def settings(quick: bool) -> list[Fig5Setting]:
     """All parts of the figure."""
-    return [Setting(*each) for each in product(QUICK_SIDES if quick else SIDES, METRICS)]
+    return [Fig5Setting(*each) for each in product(QUICK_SIDES if quick else SIDES, METRICS)]
 
 
 class Fig5:
@@ -113,7 +113,7 @@ def first(by_seed: Mapping[int, Run]) -> Run:
     return by_seed[min(by_seed)]
 
 
-def _learned(by_seed: Mapping[int, Run]) -> dict[int, Drive]:
+def _learned(by_seed: Mapping[int, Run]) -> dict[int, PlayedEpisodes]:
     """The drawn episode as each seed's greedy policy drives it, the least seed first."""
     return {
         seed: learned(mirrored(by_seed[seed].config), by_seed[seed].weights(), GREEDY)
@@ -122,7 +122,7 @@ def _learned(by_seed: Mapping[int, Run]) -> dict[int, Drive]:
 
 
 def held_out(
-    runs: Runs, which: Sequence[Setting], file: Path, processes: int | None = None
+    runs: Runs, which: Sequence[Fig5Setting], file: Path, processes: int | None = None
 ) -> list[Values]:
     """Measures on every run's held-out starts: learned, and planned from the same starts.
 
@@ -148,7 +148,8 @@ def held_out(
 
 
 def _on_the_figure(
-    drives: Mapping[Setting, Mapping[int, Drive]], plans: Mapping[Setting, Drive]
+    drives: Mapping[Fig5Setting, Mapping[int, PlayedEpisodes]],
+    plans: Mapping[Fig5Setting, PlayedEpisodes],
 ) -> list[Values]:
     """Measures of the one episode that the figure shows."""
     rows = []
@@ -161,7 +162,7 @@ def _on_the_figure(
 
 
 def _row(
-    setting: Setting,
+    setting: Fig5Setting,
     policy: str,
     starts: str,
     seed: int | None,
@@ -174,7 +175,8 @@ def _row(
 
 
 def _slots(
-    drives: Mapping[Setting, Mapping[int, Drive]], plans: Mapping[Setting, Drive]
+    drives: Mapping[Fig5Setting, Mapping[int, PlayedEpisodes]],
+    plans: Mapping[Fig5Setting, PlayedEpisodes],
 ) -> list[Values]:
     """A row for each slot of each robot that drives in it; plans are of no seed."""
     rows: list[Values] = []
@@ -185,7 +187,7 @@ def _slots(
     return rows
 
 
-def _along(policy: str, drive: Drive) -> list[Values]:
+def _along(policy: str, drive: PlayedEpisodes) -> list[Values]:
     ways_m, gain_db, rate = drive.ways_m[:, 0], drive.along.gain_db[:, 0], drive.along.rate[:, 0]
     return [
         {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from env.rendering.drawing import ROBOT_COLOURS, best_gain_db, draw_floor, missed
 from experiments.reproduce.results.output import plain
-from experiments.reproduce.results.trace import Drive
+from experiments.reproduce.results.trace import PlayedEpisodes
 from training.recording.figures import running_mean
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Shown(NamedTuple):
 
     side: int
     metric: str
-    drive: Drive
+    drive: PlayedEpisodes
 
 
 def draw_ways(shown: Sequence[Shown], note: str) -> Figure:
@@ -76,7 +76,7 @@ def _title(side: int, index: int) -> str:
     return f"({'abcdefgh'[index]}) $M_R$ = {side}" + ("" if side else " (no RIS)")
 
 
-def _ways(axes: Axes, of: Mapping[str, Drive]) -> None:
+def _ways(axes: Axes, of: Mapping[str, PlayedEpisodes]) -> None:
     """Draws the ways of both metrics, QoE's black crosses on top of QoS's coloured dots."""
     for robot, goal_m in enumerate(of["qos"].destinations_m):
         colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
@@ -91,12 +91,12 @@ def _ways(axes: Axes, of: Mapping[str, Drive]) -> None:
             axes.plot(*drive.ways_m[-1, 0, robot], "X", color=face, ms=10, mec="white", zorder=6)
 
 
-def _misses(drive: Drive) -> NDArray[np.bool_]:
+def _misses(drive: PlayedEpisodes) -> NDArray[np.bool_]:
     """Which robots do not arrive, shape (K,)."""
     return missed(drive.ways_m[-1, 0], drive.destinations_m)
 
 
-def _handles(drive: Drive, crosses: bool) -> list[Line2D]:
+def _handles(drive: PlayedEpisodes, crosses: bool) -> list[Line2D]:
     found = [
         _handle(f"robot {robot}, QoS", linestyle="", marker="o", color=colour)
         for robot, colour in enumerate(ROBOT_COLOURS[: len(drive.destinations_m)])

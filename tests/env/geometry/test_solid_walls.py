@@ -12,7 +12,7 @@ from env.apis.parallel_env import RISFleetParallelEnv
 from env.checks import checked_config
 from env.geometry import distances
 from env.geometry.floor import STEPS, UNREACHABLE, Floor
-from env.local_env import Slice
+from env.local_env import LocalEnv
 from env.mdp.destinations import draw_destinations
 from env.oracles import per_slot
 from env.scenario import Scenario
@@ -245,8 +245,8 @@ def test_a_slice_makes_the_worlds_reward_bit_by_bit(block, along):
     config = checked_config(solid(CUP, [[3.25, 2.25], [0.25, 0.25]], **changes))
     world, generator = world_of(config), np.random.default_rng(0)
     world.reset()
-    whole = Slice(Scenario(config, world.destinations))
-    single = [Slice(Scenario(config, world.destinations[k : k + 1])) for k in range(2)]
+    whole = LocalEnv(Scenario(config, world.destinations))
+    single = [LocalEnv(Scenario(config, world.destinations[k : k + 1])) for k in range(2)]
     for _ in range(80):
         left = world.cell[0].astype(np.int32)
         direction, level = generator.integers(4, size=(1, 2)), generator.integers(1, 7, size=(1, 2))

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from env.checks import checked_config
-from env.episode import EpisodeTally
+from env.episode import EpisodeAccumulator
 from env.mdp.destinations import draw_destinations
 from env.mdp.reward import energy_efficiency, metric, motion_energy_j
 from env.oracles import paths, per_slot
@@ -26,9 +26,9 @@ def floor_of(cell_m: float, robots: int, **more: Any) -> World:
     return World(Scenario(config, destinations), stream(3, Stream.WORLD))
 
 
-def replayed(world: World, start: NDArray[np.int64], plan: Trajectory) -> EpisodeTally:
+def replayed(world: World, start: NDArray[np.int64], plan: Trajectory) -> EpisodeAccumulator:
     world.reset(start[None])
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     for phase, direction, level in zip(plan.phase, plan.direction, plan.level, strict=True):
         assert world.driving.any()
         tally.add(world.step(np.array([phase]), direction[None], level[None]))
@@ -91,7 +91,7 @@ def test_two_robots_lie_between_their_shortest_ways_and_the_best_of_all(
     taken = world.slots_to_go[start_cells, [0, 1]]
     weights = 1.0 / (taken * motion_energy_j(taken * world.slot_s, world.config.motion))
     world.reset(start_cells[None])
-    tally = EpisodeTally(world)
+    tally = EpisodeAccumulator(world)
     while world.driving.any():
         phase, level = per_slot.best_phase_and_powers(world, weights)
         tally.add(world.step(phase, shortest_ways(world, world.cell), level))

@@ -8,7 +8,7 @@ import pytest
 
 from env.apis.parallel_env import AP, RISFleetParallelEnv
 from env.config import ChannelConfig, EnvConfig
-from env.local_env import Slice
+from env.local_env import LocalEnv
 from env.mdp.actions import ActionSpace
 from env.mdp.destinations import draw_destinations
 from env.oracles import per_slot
@@ -110,7 +110,7 @@ def test_slot_fading_repeats_with_the_seed_and_leaves_the_first_starts():
 def test_rates_and_observations_of_a_slot_have_its_own_channel():
     world = make(SLOT, worlds=5)
     generator = np.random.default_rng(0)
-    robots = Slice(Scenario(SLOT, world.destinations))
+    robots = LocalEnv(Scenario(SLOT, world.destinations))
     for _ in range(10):
         direct, db = world.direct, world.measured_db
         assert db == pytest.approx(20 * np.log10(np.abs(direct)), rel=1e-6)

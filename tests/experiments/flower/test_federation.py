@@ -276,7 +276,7 @@ def persevere(
         monkeypatch.setattr(on_flower, "_run", attempts)
         monkeypatch.setattr(on_flower, "latest", latest)
         config = compose(["runtime=simulation", f"federation.on_loss={on_loss}"])
-        on_flower._persevere(config, tmp_path, None)
+        on_flower._run_with_restarts(config, tmp_path, None)
 
     return make
 

@@ -13,9 +13,9 @@ import pytest
 from conf import overridden
 from experiments.cli import main
 from experiments.reproduce.results import cost
-from experiments.reproduce.results.points import LEARNED, PLANNED, Outcome
+from experiments.reproduce.results.points import LEARNED, PLANNED, PointOutcome
 from experiments.reproduce.results.statistics import Estimate
-from experiments.reproduce.results.verdicts import Check, Claim, Result, exact
+from experiments.reproduce.results.verdicts import Check, Claim, ClaimResult, exact
 from experiments.reproduce.targets import claims, fig3, fig4, fig5
 from experiments.reproduce.targets.claims_efficiency import fig4_claims
 from experiments.reproduce.targets.claims_quality import fig5_claims
@@ -36,28 +36,28 @@ HOLDS, FAILS, OPEN = (0.1, 0.3), (-0.3, -0.1), (-0.1, 0.3)
 
 
 def test_an_interval_on_the_claimed_side_holds() -> None:
-    assert check(*HOLDS).result is Result.HOLDS
-    assert check(*FAILS).result is Result.FAILS
-    assert check(*OPEN).result is Result.OPEN
-    assert check(0.0, 0.0).result is Result.OPEN  # no difference at all is not a larger one
+    assert check(*HOLDS).result is ClaimResult.HOLDS
+    assert check(*FAILS).result is ClaimResult.FAILS
+    assert check(*OPEN).result is ClaimResult.OPEN
+    assert check(0.0, 0.0).result is ClaimResult.OPEN  # no difference at all is not a larger one
 
 
 def test_what_ought_to_be_smaller_holds_below_the_threshold() -> None:
-    assert check(*HOLDS, above=False).result is Result.FAILS
-    assert check(*FAILS, above=False).result is Result.HOLDS
-    assert check(0.1, 0.3, above=False, threshold=0.5).result is Result.HOLDS
-    assert check(0.1, 0.3, threshold=0.2).result is Result.OPEN
+    assert check(*HOLDS, above=False).result is ClaimResult.FAILS
+    assert check(*FAILS, above=False).result is ClaimResult.HOLDS
+    assert check(0.1, 0.3, above=False, threshold=0.5).result is ClaimResult.HOLDS
+    assert check(0.1, 0.3, threshold=0.2).result is ClaimResult.OPEN
 
 
 def test_a_number_without_an_interval_is_judged_by_what_is_sure() -> None:
-    def result(value: float, bound: str = "") -> Result:
+    def result(value: float, bound: str = "") -> ClaimResult:
         return Check({}, Estimate(value, np.nan, np.nan, 1, bound)).result
 
-    assert [result(1.0), result(-1.0)] == [Result.HOLDS, Result.FAILS]
-    assert [result(1.0, "≥"), result(-1.0, "≥")] == [Result.HOLDS, Result.OPEN]
-    assert [result(1.0, "≤"), result(-1.0, "≤")] == [Result.OPEN, Result.FAILS]
-    assert result(1.0, "?") is result(np.nan) is Result.OPEN
-    assert Check({}, exact(75.1), 1.0, above=False).result is Result.FAILS
+    assert [result(1.0), result(-1.0)] == [ClaimResult.HOLDS, ClaimResult.FAILS]
+    assert [result(1.0, "≥"), result(-1.0, "≥")] == [ClaimResult.HOLDS, ClaimResult.OPEN]
+    assert [result(1.0, "≤"), result(-1.0, "≤")] == [ClaimResult.OPEN, ClaimResult.FAILS]
+    assert result(1.0, "?") is result(np.nan) is ClaimResult.OPEN
+    assert Check({}, exact(75.1), 1.0, above=False).result is ClaimResult.FAILS
 
 
 def test_a_claim_holds_if_it_does_everywhere() -> None:
@@ -89,10 +89,12 @@ def test_a_claim_shows_each_number_or_one_for_all() -> None:
     assert pooled.ours == "12 (10 to 20)"
 
 
-def outcomes(ee: Any, curves: Sequence[str] = (LEARNED,)) -> list[Outcome]:
+def outcomes(ee: Any, curves: Sequence[str] = (LEARNED,)) -> list[PointOutcome]:
     """Outcomes of two seeds at K = 3, with EE as a function of M_R, P_max and access."""
     return [
-        Outcome(3, side, power, access, curve, seed, ee(side, power, access) + seed, 1.0, 1.0, 1.0)
+        PointOutcome(
+            3, side, power, access, curve, seed, ee(side, power, access) + seed, 1.0, 1.0, 1.0
+        )
         for curve in curves
         for side in (0, 20, 30)
         for power in (10, 20)

@@ -19,7 +19,13 @@ from experiments.analysis import optimality_gap
 from experiments.analysis.optimality_gap import SLACK
 from experiments.reproduce.results import planning
 from experiments.reproduce.results import trace as along
-from experiments.reproduce.results.points import LEARNED, PLANNED, PLANNED_AGAIN, Outcome, points
+from experiments.reproduce.results.points import (
+    LEARNED,
+    PLANNED,
+    PLANNED_AGAIN,
+    PointOutcome,
+    points,
+)
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.targets import fig4, fig5
 from experiments.reproduce.targets.fig4_drawing import draw
@@ -104,7 +110,7 @@ def test_cells_are_configurations_that_can_be_trained() -> None:
 
 
 def test_figures_share_the_runs_that_both_need() -> None:
-    both = [fig4.Setting(3, 30, 20, "noma"), fig5.Setting(30, "qos")]
+    both = [fig4.Fig4Setting(3, 30, 20, "noma"), fig5.Fig5Setting(30, "qos")]
     folders = {cell_folder(checked_training([*COMMON, *each.overrides])) for each in both}
     assert folders == {cell_folder(checked_training(COMMON))}
 
@@ -121,7 +127,7 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
     }
     runs = rows_of(tmp_path / "fig4_runs.csv")
     assert len(runs) == len(drawn)
-    name = fig4.Setting(3, 30, 10, "oma").name
+    name = fig4.Fig4Setting(3, 30, 10, "oma").name
     last = runs_of_fig4[name][10].summary["evaluation"]["last5"]
     (row,) = (row for row in runs if list(row.values())[:5] == ["3", "30", "10", "oma", LEARNED])
     assert float(row["ee"]) == pytest.approx(last["ee"], rel=1e-5)
@@ -132,7 +138,7 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
 def test_planned_values_are_the_trajectory_oracles_and_are_kept(
     runs_of_fig4: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = runs_of_fig4[fig4.Setting(3, 30, 10, "oma").name][10]
+    run = runs_of_fig4[fig4.Fig4Setting(3, 30, 10, "oma").name][10]
     again = overridden(run.config, ["env.oma.share=reallocate"])
     file = tmp_path / "planned.csv"
     values = planning.planned_values([run.config, again, run.config], file, processes=1)
@@ -188,9 +194,9 @@ def test_other_starts_are_planned_anew_and_replace_no_other_line(tiny: Any, tmp_
     assert [row["seed"] for row in rows_of(file)] == ["0", "1"]  # the same setting, another map
 
 
-def outcome(ee: float, seed: int = 0, success: float = 1.0, **of: Any) -> Outcome:
+def outcome(ee: float, seed: int = 0, success: float = 1.0, **of: Any) -> PointOutcome:
     given = {"robots": 3, "side": 20, "max_dbm": 20, "access": "noma", "curve": LEARNED} | of
-    return Outcome(**given, seed=seed, ee=ee, success=success, sum_rate=1.0, min_rate=0.1)
+    return PointOutcome(**given, seed=seed, ee=ee, success=success, sum_rate=1.0, min_rate=0.1)
 
 
 def test_points_where_few_robots_arrive_are_hollow() -> None:
@@ -247,7 +253,7 @@ def test_robots_of_fig_5_start_opposite_their_destinations() -> None:
 
 
 def test_what_is_seen_along_the_way_is_what_is_measured(runs_of_fig5: Runs) -> None:
-    run = fig5.first(runs_of_fig5[fig5.Setting(30, "qos").name])
+    run = fig5.first(runs_of_fig5[fig5.Fig5Setting(30, "qos").name])
     trace: list[NDArray[np.int64]] = []
     evaluator = Evaluator(run.config)
     (played,) = evaluator.play(*run.weights(), (0.05,), trace)

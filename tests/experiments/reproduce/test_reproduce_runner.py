@@ -20,7 +20,7 @@ from rich.console import Console
 
 from conf import Config, ConfigError
 from experiments.batch.states import State, folder_of, state_of
-from experiments.batch.train import Outcome
+from experiments.batch.train import BatchOutcome
 from experiments.cli import main
 from experiments.reproduce.jobs.runner import Plan, train
 from experiments.reproduce.targets.plan import Cell
@@ -67,7 +67,7 @@ def done(straight: Plan, plan: Plan) -> Plan:
     return plan
 
 
-def trained(plan: Plan) -> tuple[Outcome, str]:
+def trained(plan: Plan) -> tuple[BatchOutcome, str]:
     said = io.StringIO()
     return train(plan, 1, HERE, Console(file=said, width=300)), said.getvalue()
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from experiments.reproduce.results import statistics
 from experiments.reproduce.results.statistics import (
+    ConvergenceTimes,
     Estimate,
-    Times,
     converged,
     difference,
     estimate,
@@ -29,9 +29,9 @@ PAIRS = st.lists(
 )
 
 
-def at(*values: float, never: tuple[int, ...] = ()) -> Times:
+def at(*values: float, never: tuple[int, ...] = ()) -> ConvergenceTimes:
     """Convergence times; ``never`` names the runs that had not converged when they ended."""
-    return Times(np.array(values, float), np.isin(np.arange(len(values)), never))
+    return ConvergenceTimes(np.array(values, float), np.isin(np.arange(len(values)), never))
 
 
 def test_the_interquartile_mean_is_that_of_the_middle_half() -> None:
@@ -131,7 +131,7 @@ def test_bounds_hold_whatever_the_runs_would_have_come_to(
     pairs: list[tuple[float, float, bool, bool]],
 ) -> None:
     ours, theirs, ours_never, theirs_never = map(np.array, zip(*pairs, strict=True))
-    found = reduction(Times(ours, ours_never), Times(theirs, theirs_never))
+    found = reduction(ConvergenceTimes(ours, ours_never), ConvergenceTimes(theirs, theirs_never))
     true = 1 - iqm(np.where(ours_never, 3 * ours, ours)) / iqm(
         np.where(theirs_never, 5 * theirs, theirs)
     )

@@ -15,7 +15,7 @@ from safetensors.numpy import load_file
 from conf import fingerprint
 from experiments.cli import main
 from experiments.reproduce.export import collect, repeat
-from experiments.reproduce.export.repeat import Kept
+from experiments.reproduce.export.repeat import RegressionRun
 from experiments.reproduce.targets import fig3
 from storage.checkpoint_files import digest
 
@@ -30,7 +30,7 @@ FOLDERS = re.compile(r"(?<![\w.)])/(?:home|root|tmp|Users|mnt|var|opt|private|sr
 needs_results = pytest.mark.skipif(not STORED, reason="no results are kept in this checkout")
 
 
-def check_again(kept: Kept, folder: Path) -> None:
+def check_again(kept: RegressionRun, folder: Path) -> None:
     """Trains the first ticks of a run again and compares the total rewards of its episodes.
 
     They are the same to the bit with the versions and the processor that computed them. Elsewhere
@@ -38,7 +38,7 @@ def check_again(kept: Kept, folder: Path) -> None:
     (a learning rate that is 1e-7 larger changes none of them in 1,000 ticks, one that is a tenth
     larger changes the mean by .15 %): the first episode has to agree, and the mean to 2 %.
     """
-    found = repeat.again(kept, folder).metrics()
+    found = repeat.rerun(kept, folder).metrics()
     count = len(kept.rewards)
     assert count > 1
     if repeat.computed_by(fingerprint()) == kept.computed_by:
@@ -123,7 +123,7 @@ def test_kept_episodes_are_those_of_the_same_run_again(
     assert (kept.target, kept.cell, kept.seed) == ("fig3", "F-DRL, K = 2", 10)
     assert len(kept.rewards) == 4
     check_again(kept, tmp_path / "again")
-    other = Kept(**{**vars(kept), "rewards": kept.rewards + np.array([0, 0, 0, 1e-9])})
+    other = RegressionRun(**{**vars(kept), "rewards": kept.rewards + np.array([0, 0, 0, 1e-9])})
     with pytest.raises(AssertionError):
         check_again(other, tmp_path / "other")
 
@@ -163,7 +163,7 @@ def test_stored_results_are_whole() -> None:
 
 @needs_results
 @pytest.mark.parametrize("kept", KEPT, ids=lambda kept: kept.target)
-def test_stored_runs_begin_as_they_do_now(kept: Kept, tmp_path: Path) -> None:
+def test_stored_runs_begin_as_they_do_now(kept: RegressionRun, tmp_path: Path) -> None:
     check_again(kept, tmp_path / "run")
 
 
