@@ -18,10 +18,12 @@ class ReferenceDQN:
     """Mnih et al., "Human-level control through deep reinforcement learning", Nature 2015.
 
     Args:
-        shape, config: the network's sizes, and how the agent learns.
+        shape: the network's sizes.
+        config: how the agent learns.
         discount: gamma, at least 0 and below 1.
         generator: the agent's own; draws exploration and batches.
-        weights, proximal_mu: both networks' first row, shape (P,), and FedProx's mu.
+        weights: both networks' first row, shape (P,).
+        proximal_mu: FedProx's mu.
     """
 
     def __init__(
