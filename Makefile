@@ -3,6 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+SITE := $(VENV)/.site
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.12 python3.13 python3))
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 PACKAGES := env agent storage lockstep conf training server_app client_app experiments
@@ -10,7 +11,7 @@ CHAOS_KILLS ?= 50
 CHAOS_SEED ?= 0
 SOURCES := $(PACKAGES) tests benchmarks tools docs/examples
 
-.PHONY: setup train test test-all chaos bench lint clean
+.PHONY: setup train test test-all chaos bench docs lint lint-format lint-rules lint-types clean
 
 setup: $(READY)
 
@@ -24,9 +25,16 @@ $(READY): pyproject.toml constraints.txt
 train: $(READY)
 	$(BIN)/risfleet train $(ARGS)
 
-lint: $(READY)
+# The parts are what .pre-commit-config.yaml runs.
+lint: lint-format lint-rules lint-types
+
+lint-format: $(READY)
 	$(BIN)/ruff format --check $(SOURCES)
+
+lint-rules: $(READY)
 	$(BIN)/ruff check $(SOURCES)
+
+lint-types: $(READY)
 	$(BIN)/mypy
 
 test: lint
@@ -43,5 +51,13 @@ chaos: $(READY)
 bench: $(READY)
 	$(BIN)/python -m benchmarks
 
+# The documents as a site, in site/.
+$(SITE): $(READY)
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@
+
+docs: $(SITE)
+	$(BIN)/mkdocs build --strict --quiet
+
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
