@@ -47,7 +47,8 @@ def prose(page):
 
 def spans(page):
     """Code within sentences, without the test of a file that it may name."""
-    return {span.split("::")[0] for span in re.findall(r"`([^`\n]+)`", prose(page))}
+    found = re.findall(r"`([^`]+)`", prose(page))
+    return {" ".join(span.split()).split("::")[0] for span in found}
 
 
 def name_of(page):
