@@ -27,7 +27,8 @@ RULES = {
     "conf": {"conf", "agent", "env", "hydra", "omegaconf", "yaml", "annotated_types"},
     "training.aggregation": {*A_RUN, "numpy", "flwr"},
     "training.recording.figures": {*A_RUN, "numpy", "matplotlib"},
-    "training.recording": {*A_RUN, "numpy", "safetensors", "torch.utils.tensorboard"},
+    "training.recording": {*A_RUN, "numpy", "torch.utils.tensorboard"},
+    "training.run_folder": {*A_RUN, "numpy", "safetensors"},
     "training": {*A_RUN, "numpy"},
     "client_app": {"client_app", *A_RUN, "flwr", "numpy"},
     "server_app": {"server_app", *A_RUN, "flwr", "numpy", "cryptography"},
@@ -188,6 +189,7 @@ def test_the_physics_needs_nothing_but_numpy():
         ("training.evaluation", ""),
         ("training.controllers.schemes", "torch"),
         ("training.recording.history", ""),
+        ("training.run_folder", ""),
     ],
 )
 def test_importing_a_module_loads_no_heavy_library_that_it_does_not_need(module, loaded):
