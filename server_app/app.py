@@ -18,8 +18,10 @@ from server_app.clients import Clients
 from server_app.nodes import wait_for_nodes
 from server_app.recovery import RecoveringTrainer
 from training import resume
+from training.addresses import check_address, uses_tls
 from training.checkpoint import Checkpoint
-from training.preflight import check_address, checked, checked_yaml, default_concurrency, uses_tls
+from training.engine_limits import default_concurrency
+from training.preflight import checked, checked_yaml
 from training.run_folder import RunFolder
 
 NODES_PATIENCE_S = 2.0

@@ -11,7 +11,7 @@
 | `run_folder` | what the files of a run's folder are called, and how they are read and written |
 | `recording` | what a run records as it goes |
 | `checkpoint`, `resume` | where a run goes on |
-| `preflight` | what can be known to be wrong before a run starts |
+| `preflight`, `addresses`, `engine_limits` | what can be known to be wrong before a run starts |
 | `partition`, `communication` | who holds which robots, and what is sent |
 | `run_log` | log lines that say which run, round and robots they are about |
 """

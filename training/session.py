@@ -19,14 +19,12 @@ from env.world import World
 from lockstep import Fleet
 from storage.checkpoint_files import Writer, digest
 from storage.checkpoint_layout import owner
-from training.aggregation.strategies import build_aggregator
 from training.checkpoint import Checkpoint, save_server
 from training.communication import per_tick, waiting
 from training.controllers.schemes import build_ris_controller
 from training.coordinator import Coordinator
 from training.evaluation import Evaluator
 from training.recording.costs import Costs
-from training.recording.figures import save_figures
 from training.recording.history import MEASURES, evaluate
 from training.recording.recorder import Recorder
 from training.run_folder import RunFolder
@@ -101,6 +99,8 @@ class TrainingRun:
         Returns:
             What ``summary.json`` holds.
         """
+        from training.aggregation.strategies import build_aggregator  # Flower: once a run trains
+
         before = Costs() if self._resumed is None else Costs(**self._resumed.meta["costs"])
         earlier = costs()  # of a part of the run that was played in vain
         self._costs = lambda: before.plus(costs().minus(earlier))
@@ -205,5 +205,7 @@ class TrainingRun:
         }
         self.folder.write_summary(summary)
         if self.config.run.figures:
+            from training.recording.figures import save_figures  # matplotlib: where it is wanted
+
             save_figures(self.folder.figures, self.config, self.evaluator, online, ap[0], history)
         return summary

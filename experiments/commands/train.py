@@ -10,7 +10,8 @@ from experiments.commands.sweep import train_all
 from experiments.runtimes.folders import new_folder
 from experiments.runtimes.runner import ERRORS, print_error, train
 from training import resume
-from training.preflight import check_address, checked, checked_training
+from training.addresses import check_address
+from training.preflight import checked, checked_training
 from training.run_folder import RunFolder
 
 FLAGS = ("-m", "--multirun", "--cfg")

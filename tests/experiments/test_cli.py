@@ -127,7 +127,7 @@ def test_krum_needs_three_robots(refused: Refused) -> None:
 def test_more_clients_than_flowers_engine_runs_are_refused(
     refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("training.preflight.os.cpu_count", lambda: 1)
+    monkeypatch.setattr("training.engine_limits.os.cpu_count", lambda: 1)
     said = refused("train", "env.robots=6", "federation.clients=6")
     assert_one_sentence(said)
     assert "federation.clients=6" in said
