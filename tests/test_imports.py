@@ -34,7 +34,7 @@ RULES = {
     "server_app": {"server_app", *A_RUN, "flwr", "numpy", "cryptography"},
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
-        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography",
+        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography", "psutil",
     },
 }  # fmt: skip
 
