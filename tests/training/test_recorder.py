@@ -20,7 +20,6 @@ from experiments.runtimes import local
 from storage.atomic import write_atomically
 from storage.checkpoint_files import digest
 from storage.strict_json import to_json
-from training.recording import recorder
 from training.recording.history import EVALUATIONS, MEASURES, METRICS, History
 from training.recording.progress import Progress
 from training.recording.recorder import Recorder
@@ -220,7 +219,7 @@ def spied_states(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def spy(self: Recorder, state: str, progress: Progress, message: str = "") -> None:
         report(self, state, progress, message)
-        status = RunFolder(self.folder).read_progress()
+        status = self.folder.read_progress()
         assert status is not None
         seen.append(status["state"])
 
@@ -267,15 +266,13 @@ def test_a_run_whose_progress_cannot_be_written_goes_on_and_says_so_once(
 ) -> None:
     expected = trained(tiny, tmp_path / "undisturbed")["digest"]
     monkeypatch.setattr("training.recording.recorder.PROGRESS_PERIOD_S", 0.0)
-    write, refused = recorder.write_atomically, []
+    refused = []
 
-    def refuse(path: Path, text: str, **options: bool) -> None:
-        if path.name == "progress.json":
-            refused.append(path)
-            raise OSError(28, "No space left on device", str(path))
-        write(path, text, **options)
+    def refuse(folder: RunFolder, status: object) -> None:
+        refused.append(status)
+        raise OSError(28, "No space left on device", str(folder.progress_file))
 
-    monkeypatch.setattr(recorder, "write_atomically", refuse)
+    monkeypatch.setattr(RunFolder, "write_progress", refuse)
     assert trained(tiny, tmp_path / "run")["digest"] == expected
     assert len(refused) > 2
     (said,) = caplog.messages
