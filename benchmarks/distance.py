@@ -15,13 +15,13 @@ import sys
 from typing import Any
 
 import numpy as np
-from tests.chaos.hosts import ADDRESSES, TwoHosts, obstacle
 
 from agent import single_threaded
 from benchmarks.clients import PATIENCE_S, Mode, client, opened, token
 from benchmarks.deployment import Server, Times
 from benchmarks.local import configured
 from benchmarks.result import Result, Skipped
+from tools.chaos.hosts import ADDRESSES, TwoHosts, obstacle
 
 DELAYS_MS = (1, 5, 20)
 ROBOTS = 3

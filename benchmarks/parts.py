@@ -102,7 +102,7 @@ def _block(run: LocalRun, steps: int) -> tuple[dict[str, float], float]:
         ("ap_act", run.ap, "act"),
         ("world", run.world, "step"),
         ("world", run.world, "local_observations"),
-        ("world", run.world.observer, "of_all"),
+        ("world", run.world.observer, "global_observation"),
         ("tally", EpisodeAccumulator, "add"),
         ("tally", EpisodeAccumulator, "measures"),
         ("aggregation", Aggregator, "aggregate"),

@@ -1,4 +1,4 @@
-"""What no sound server tells a robot: caught here, before anything is learned from it."""
+"""Checks of what a robot receives, before it learns from it: a sound server sends none of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FIELDS = ["cell", "outcome_cell", "rate", "channel_db", "outcome_channel_db"]
 
 
 def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int) -> None:
-    """Checks what robots are told; a few microseconds for each, so before every tick.
+    """Checks the records of a step; a few microseconds for each robot, so before every tick.
 
     Args:
         tick: for the message.
@@ -44,7 +44,7 @@ def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells:
                 f"{name}={value:g}" for name, value in zip(_FIELDS, received, strict=True)
             )
             raise ValueError(
-                f"tick {tick}: robot {robot} was told what cannot be ({values}): cells are 0 to"
+                f"tick {tick}: robot {robot} received what cannot be ({values}): cells are 0 to"
                 f" {cells - 1}, rates 0 to {RATE_LIMIT:g} bit/s/Hz, channels within"
                 f" {CHANNEL_LIMIT_DB:g} dB of 0"
             )

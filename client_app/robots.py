@@ -21,10 +21,11 @@ OUTCOME, ARRIVED, DRIVING = int(Flag.OUTCOME), int(Flag.ARRIVED), int(Flag.DRIVI
 
 
 class RobotGroup:
-    """n robots, each a DQN with its slice of the environment, stacked in one learner.
+    """n robots, each a DQN with its own local environment, stacked in one learner.
 
-    Told an outcome, they learn and answer their next actions; asked for their weights, they give
-    them; given new ones, they take them. How robots are grouped changes no bit of any of them.
+    A handler of messages: a step with results makes the robots learn and returns their next
+    actions, ``upload`` returns their weights, ``download`` sets them. How robots are grouped
+    changes no bit of any of them.
 
     Args:
         config: the run's configuration.

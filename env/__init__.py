@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from env.checks import checked_config
     from env.config import EnvConfig
     from env.plugins import register_channel_model, register_reward
+    from env.scenario import Scenario
     from env.world import World
 
 __all__ = [
     "EnvConfig",
     "RISFleetParallelEnv",
+    "Scenario",
     "SingleRobotEnv",
     "World",
     "checked_config",
@@ -32,6 +34,7 @@ SINGLE_ROBOT = "risfleet/SingleRobot-v0"
 _HOMES = {
     "EnvConfig": "env.config",
     "RISFleetParallelEnv": "env.apis.parallel_env",
+    "Scenario": "env.scenario",
     "SingleRobotEnv": "env.apis.single_robot",
     "World": "env.world",
     "checked_config": "env.checks",

@@ -1,7 +1,7 @@
-"""A robot's slice of the environment: its task, what it sees and what it gains.
+"""A robot's local environment: its task, its observations and its rewards.
 
-The world tells a robot only what it could measure: its cell, its direct channel, the rate it was
-served with, whether it has arrived. Observation and reward are made here, on the robot's side.
+A robot receives only what it could measure: its cell, its direct channel, its rate, whether it has
+arrived. Observation and reward are computed from that here, on the robot's side.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from env.scenario import Scenario
 
 
 class LocalEnv:
-    """The slices of n robots.
+    """The local environments of n robots.
 
     Args:
         scenario: of these robots alone (``Scenario.of``).

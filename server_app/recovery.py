@@ -59,7 +59,7 @@ class RecoveringTrainer:
         """Trains to the end.
 
         Args:
-            resumed: where the run goes on, as far as the server's own checkpoints tell.
+            resumed: the server's newest checkpoint; None begins the run.
 
         Raises:
             LinkError: a robot was lost, and is not waited for or did not come back; or it failed.

@@ -33,7 +33,7 @@ class FlowerFleet:
         config: the run's configuration, with an absolute ``run.dir``.
         link: the listening end of the link.
         clients: who holds them.
-        on_round: told the number of each round that opens.
+        on_round: callback with the number of each round that opens.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What a run sends: federated learning, the lockstep link, and a learner that is told everything.
+"""Bytes that a run sends: federated learning, the lockstep link, and sending every transition.
 
 The paper argues that federated learning spares communication, for robots send weights instead of
 data. How much is sent either way follows from the configuration alone.

@@ -31,17 +31,17 @@ OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARR
 
 
 class Coordinator:
-    """One run.
+    """One run of Algorithm 1.
 
     Args:
         config: the run's configuration.
         world: a single world.
-        ap: who steers the RIS.
+        ap: the controller of the RIS.
         fleet: the robots.
         aggregator: the strategy, or None for independent learners.
-        observer: told of episodes and windows.
-        stop: asked at every window boundary whether to end the run there.
-        keep: told at every window boundary, after all else, and whether it is the last.
+        observer: receives episodes and windows.
+        stop: called at every window boundary; True ends the run there.
+        keep: callback after each aggregation window; receives ``is_last``.
     """
 
     def __init__(
@@ -166,10 +166,10 @@ class Coordinator:
     def _pass_on(
         self, window: int, phase: NDArray[np.int64], outcome: StepResult, *, last: bool
     ) -> Expect:
-        """Tells the robots what their actions brought, and learns from it while they do.
+        """Sends the robots the results of their actions; the AP learns while they do.
 
         Returns:
-            What the robots were asked for.
+            What the robots answer next.
         """
         updates, seen = self._updates(outcome), self._state
         next_observation, ended = None, outcome.terminated[0] or outcome.truncated[0]
@@ -188,7 +188,7 @@ class Coordinator:
         return expect
 
     def _count(self, outcome: StepResult) -> NDArray[np.float32]:
-        """Adds up what a slot brought; returns the access point's state that it led to."""
+        """Adds a step to the episode; returns the access point's next state."""
         self._tally.add(outcome)
         return self._world.global_observation()
 
@@ -207,7 +207,7 @@ class Coordinator:
         return enough or late or self.stopped
 
     def _updates(self, outcome: StepResult | None = None) -> np.ndarray:
-        """The robots' records, so far with what an outcome told them, if there is one."""
+        """The robots' records, filled with the results of a step, if there is one."""
         world = self._world
         updates = np.zeros(world.robots, dtype=UPDATE)
         if outcome is not None:

@@ -20,8 +20,8 @@ class NStepBuilder:
     A transition that leaves the window has the reward sum_i discount^i r_i of the m slots that it
     covers and the last one's next state, whose value counts discount^m. m is n, and fewer where an
     episode ends: with arrival, after which nothing is bootstrapped, or cut off at T_max, where the
-    last state's value is. The agent is not told of the cut: it shows in the next transition,
-    which does not start where the last one led, and until then what was cut off waits.
+    last state's value is. No message says that an episode was cut off: it shows in the next
+    transition, which does not start where the last one led, and what was cut off waits until then.
     """
 
     def __init__(self, layout: RowLayout, steps: int, discount: float) -> None:

@@ -104,7 +104,7 @@ class Replay:
         self._rows.take(places.astype(np.intp), axis=0, out=out, mode="clip")
 
     def update_priorities(self) -> None:
-        """Told that the batch drawn last was learned from: without priorities nothing changes."""
+        """Updates priorities after a gradient step; a no-op for uniform replay."""
 
     def extra_state(self) -> dict[str, NDArray[np.generic]]:
         """What is known of the transitions besides their rows, by name: here nothing."""

@@ -176,5 +176,5 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
 
 def _info(infos: Infos, phase: int) -> dict[str, Any]:
-    """The robot's info, with what it is told of the access point."""
+    """The robot's info, with the access point's phase."""
     return {**infos[ROBOT], "sum_rate": infos[AP]["sum_rate"], "phase": phase}

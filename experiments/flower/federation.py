@@ -9,13 +9,14 @@ from pathlib import Path
 
 from experiments.flower import commands
 from experiments.flower.environment import HOST, FlowerError, flower_command, free_port
+from experiments.flower.executor import NAME as EXECUTOR
+from experiments.flower.executor import Executor
 from experiments.flower.keys import FleetKeys, NodeKeys, add_nodes, make_keys
 from experiments.flower.processes import Process, command, members, terminate
 from experiments.flower.session import Session
 from experiments.flower.superlink import SuperLink
 
 _SERVER_APP = "flwr-serverapp"
-_EXECUTOR = "flower-superexec"
 _MOST_RESTARTS = 5
 _STEADY_S = 60.0
 """A SuperNode that lived this long is not one that cannot live."""
@@ -33,7 +34,7 @@ class _Node:
         root: the same, as `processes` knows it.
         began: when it was started, monotonic, in s.
         restarts: in a row, none of which lived long.
-        complete: whether the process that starts its clients has been seen.
+        executor: the process that starts its clients.
         family: itself and all below it, as last seen.
     """
 
@@ -42,8 +43,12 @@ class _Node:
     root: Process
     began: float
     restarts: int = 0
-    complete: bool = False
     family: set[Process] = field(default_factory=set)
+    executor: Executor = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Looks for it below the SuperNode."""
+        self.executor = Executor(self.root)
 
 
 class Federation(SuperLink):
@@ -109,12 +114,10 @@ class Federation(SuperLink):
         code = node.process.poll()
         family = members(None, [node.root])
         node.family = family or node.family
-        executor = any(_EXECUTOR in command(row) for row in family)
-        crippled = node.complete and not executor
-        node.complete |= executor
+        crippled = node.executor.has_died(family)
         if code is None and not crippled:
             return
-        what = f"ended with status {code}" if code is not None else f"lost its {_EXECUTOR}"
+        what = f"ended with status {code}" if code is not None else f"lost its {EXECUTOR}"
         if not self._revive:
             if not self._lost:
                 terminate(None, node.family)  # by its client's end the ServerApp notices

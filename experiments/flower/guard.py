@@ -34,7 +34,7 @@ class Guard:
         self.keep()
 
     def add(self, root: Process) -> None:
-        """Tells the watchdog of a process that was started."""
+        """Adds a process that the watchdog must end."""
         self._roots.add(root)
         if not self.keep():
             self._tell([root])

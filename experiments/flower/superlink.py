@@ -19,8 +19,9 @@ from experiments.flower.environment import (
     port_in_use,
     tail,
 )
+from experiments.flower.executor import Executor
 from experiments.flower.manifest import Components, write_connection
-from experiments.flower.processes import Process
+from experiments.flower.processes import Process, members
 from experiments.flower.session import Session
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ class SuperLink:
         self._authority: Path | None = None
         self._session: Session | None = None
         self._superlink: subprocess.Popen[bytes] | None = None
+        self._executor: Executor | None = None
         self._log: IO[bytes] | None = None
         self._log_begin = 0
         self._submitted: dict[int, float] = {}
@@ -119,7 +121,7 @@ class SuperLink:
         """
         self._require_alive().keep_guard()
         status = self._ask(run_id)
-        if status.state is RunState.RUNNING and (death := self._death()):
+        if not status.finished and (death := self._loss(status)):
             status = self._ask(run_id)  # it may have ended well in between
             if not status.finished:
                 return Status(RunState.FAILED, death)
@@ -163,8 +165,15 @@ class SuperLink:
     def _on_start(self) -> None:
         """The SuperLink answers."""
 
+    def _loss(self, status: Status) -> str:
+        """What keeps a run from ever ending, whether it runs already or not."""
+        assert self._executor is not None
+        if self._executor.has_died(members(None, [self._root()])):
+            return "Flower's SuperExec ended without a word"
+        return self._death() if status.state is RunState.RUNNING else ""
+
     def _death(self) -> str:
-        """What keeps a run from ever ending, in words; empty while all is well."""
+        """What keeps a run that is running from ever ending, in words; empty while all is well."""
         return ""
 
     # --- The SuperLink's process ------------------------------------------------------------------
@@ -183,6 +192,7 @@ class SuperLink:
              "--host", HOST, "--port", str(self._port)],
             self._log,
         )  # fmt: skip
+        self._executor = Executor(self._session.root(self._superlink))
         deadline = time.monotonic() + self._start_timeout_s
         while not control.is_healthy(self._port, self._authority):
             self._session.keep_guard()

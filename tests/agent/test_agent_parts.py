@@ -15,12 +15,18 @@ from agent import (
     PriorityConfig,
     TargetConfig,
     epsilon_at,
-    problems,
 )
+from agent.config import rules
 from agent.exploration import GREEDY, NO_ACTION, explore
 from agent.learning.losses import double_dqn_values, dqn_values, huber, td_target
 from agent.replay.uniform import Replay, RowLayout
+from env import validate
 from storage.generators import generator_state, restore_generator
+
+
+def problems(config):
+    """What a whole configuration's checks say of the group."""
+    return validate.problems(config, (rules,), "agent.")
 
 
 def test_the_default_configuration_has_no_problems():

@@ -63,7 +63,7 @@ def test_what_cannot_be_is_named_and_nothing_is_learned_from_it(
 ) -> None:
     group.step(received(0))
     before = group.upload()
-    with pytest.raises(ValueError, match=rf"tick 7: robot 1 was told what cannot be .*{shown}[,)]"):
+    with pytest.raises(ValueError, match=rf"tick 7: robot 1 received what cannot be .*{shown}[,)]"):
         group.step(received(7, **change))
     np.testing.assert_array_equal(group.upload(), before)
     group.step(received(7))

@@ -28,7 +28,7 @@ def test_the_map_is_printed_written_and_drawn(tiny_overrides, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["env.ris.action=beams"], "env.ris.action=beams: allowed is one of phases, codebook"),
+        (["env.ris.action=beams"], "env.ris.action=beams: allowed is phases or codebook"),
         (["env.ris.action=codebook"], "env.ris.response=coherent: allowed is far or near"),
         (["env.ris.sort=1"], "env.ris.sort"),
         (["--out", "map.pdf"], "ends in .png"),

@@ -14,6 +14,7 @@ import pytest
 
 from tools.chaos import report
 from tools.chaos.__main__ import _chosen, play_reference, shares
+from tools.chaos.kill_points import draw
 from tools.chaos.process_tracker import Deck
 from tools.chaos.scenario import KillScenario, Row
 from tools.chaos.tasks import ALL, DEPLOYMENT, LOCAL, SIMULATION, Runtime
@@ -71,14 +72,17 @@ def test_a_runtime_or_a_key_that_is_no_choice_is_named() -> None:
     assert changed.missing() == "federation.on_moon is no key in this version"
 
 
-def test_a_play_may_be_for_some_roles_alone() -> None:
-    assert _chosen("local,simulation", None) == [LOCAL, SIMULATION]
+def test_a_play_may_be_for_some_roles_and_moments_alone() -> None:
+    assert _chosen("local,simulation") == [LOCAL, SIMULATION]
     found = _chosen("local,simulation,deployment", "watchdog,SuperNode")
     roles = [(runtime.name, runtime.roles) for runtime in found]
     assert roles == [
         ("simulation", ("watchdog",)),
         ("deployment", ("watchdog", "SuperNode")),
     ]
+    (early,) = _chosen("deployment", moments="start-up")
+    rng = random.Random(0)
+    assert {draw(rng, early, 0).kind for _ in range(50)} == {"start-up"}
 
 
 def test_the_report_counts_by_runtime_and_role(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ def main() -> int:
     if asked.hosts and why_no_hosts:
         print(f"chaos: --hosts cannot be played: {why_no_hosts}", file=sys.stderr)
         return 2
-    chosen = [] if asked.hosts else _chosen(asked.runtimes, asked.roles)
+    chosen = [] if asked.hosts else _chosen(asked.runtimes, asked.roles, asked.moments)
     skipped = [f"{item.name} skipped: {item.missing()}" for item in chosen if item.missing()]
     skipped += [f"two hosts skipped: {why_no_hosts}"] if why_no_hosts else []
     for line in skipped:
@@ -61,7 +61,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--runtimes", default=",".join(ALL))
-    parser.add_argument("--roles", help="whom to kill, such as watchdog,SuperExec; default: all")
+    parser.add_argument("--roles", default="", help="whom to kill, such as watchdog,SuperExec")
+    parser.add_argument("--moments", default="", help="when to kill, such as start-up")
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"))
     parts = parser.add_mutually_exclusive_group()
     parts.add_argument("--hosts", action="store_true", help="the two hosts alone")
@@ -69,16 +70,17 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _chosen(runtimes: str, roles: str | None) -> list[Runtime]:
+def _chosen(runtimes: str, roles: str = "", moments: str = "") -> list[Runtime]:
     """The runtimes to play, those left out in which nobody is to be killed."""
-    all_of = [ALL[name] for name in runtimes.split(",")]
-    if roles is None:
-        return all_of
-    wanted = [
-        replace(runtime, roles=tuple(role for role in runtime.roles if role in roles.split(",")))
-        for runtime in all_of
-    ]
-    return [runtime for runtime in wanted if runtime.roles]
+    found = [replace(ALL[name], moments=_listed(moments)) for name in runtimes.split(",")]
+    if roles:
+        wanted = _listed(roles)
+        found = [replace(r, roles=tuple(role for role in r.roles if role in wanted)) for r in found]
+    return [runtime for runtime in found if runtime.roles]
+
+
+def _listed(text: str) -> tuple[str, ...]:
+    return tuple(filter(None, text.split(",")))
 
 
 def _try_hosts(out: Path, reference: Path, scratch: Path, console: Console) -> bool:

@@ -121,8 +121,10 @@ class Attempt:
         due = time.monotonic() + moment.delay_s
         if not self._wait(lambda: time.monotonic() >= due):
             return False
-        if (victim := deck.pick(self._targets())) is None:
-            return False
+        while (victim := deck.pick(self._targets())) is None:  # nobody of those is there yet
+            if not self._is_running():
+                return False
+            time.sleep(_LOOK_S)
         role, process = victim
         if (target := aim(process)) is None:
             return False

@@ -102,7 +102,7 @@ def draw(rng: random.Random, runtime: Runtime, first: int) -> KillPoint:
     kinds = [STARTING, JOINING, FINISHING]
     kinds += [MIDDLE, MIDDLE, WRITING, WRITING] if inside else []
     kinds += [ROUND, ROUND] if ends else []
-    kind = rng.choice(kinds)
+    kind = rng.choice([kind for kind in kinds if kind in runtime.moments] or kinds)
     if kind == STARTING:
         return KillPoint(kind, delay_s=rng.uniform(0, runtime.starting_s))
     if kind == JOINING:

@@ -46,6 +46,7 @@ class Runtime:
         patience_s: the longest a whole process may take; it hangs after that.
         comes_back: roles that are started again when they die, so that the run goes on by itself
             once it has a checkpoint.
+        moments: kinds of the moments at which to kill; none: all.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Runtime:
     gone_within_s: float
     patience_s: float
     comes_back: tuple[str, ...] = ()
+    moments: tuple[str, ...] = ()
 
     def begin(self, folder: Path) -> list[str]:
         """Overrides of a new run in a folder."""

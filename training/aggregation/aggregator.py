@@ -73,13 +73,13 @@ class Aggregator:
             part.fraction_train = 1.0
             part.min_train_nodes = part.min_available_nodes = robots
         with within_flower():
-            told = configure(strategy, 1, ArrayRecord(), robots)
+            messages = configure(strategy, 1, ArrayRecord(), robots)
         self.restore({})
-        self._client_config = client_config(told)
+        self._client_config = client_config(messages)
 
     @property
     def client_config(self) -> dict[str, float]:
-        """What the strategy tells the clients, such as ``{"proximal-mu": 0.01}``."""
+        """The strategy's configuration of clients, such as ``{"proximal-mu": 0.01}``."""
         return dict(self._client_config)
 
     def aggregate(self, window: int, current: WeightRows, uploads: WeightRows) -> WeightRows:

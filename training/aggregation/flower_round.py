@@ -22,7 +22,7 @@ _ARRAY = "weights"
 
 
 class _NodeList:
-    """All that ``configure_train`` asks of a grid: which nodes there are. Robot k is node k."""
+    """The part of Flower's ``Grid`` that ``configure_train`` uses. Robot k is node k + 1."""
 
     def __init__(self, robots: int) -> None:
         self._robots = robots
@@ -35,10 +35,10 @@ def one_round(
     strategy: FedAvg, window: int, current: WeightRows, uploads: WeightRows
 ) -> npt.NDArray[np.float64]:
     """Configures and aggregates: current (R, P) and uploads (K, R, P) give (R, P)."""
-    told = configure(strategy, window, _record(current), len(uploads))
+    messages = configure(strategy, window, _record(current), len(uploads))
     replies = [
         _reply(strategy, message, _record(upload))
-        for message, upload in zip(told, uploads, strict=True)
+        for message, upload in zip(messages, uploads, strict=True)
     ]
     arrays, _ = strategy.aggregate_train(window, replies)
     if arrays is None:
@@ -69,9 +69,9 @@ def _record(rows: WeightRows) -> ArrayRecord:
     return record
 
 
-def client_config(told: Sequence[Message]) -> dict[str, float]:
-    """What a strategy's messages tell the clients, the number of the round left out."""
-    (config,) = told[0].content.config_records.values()
+def client_config(messages: Sequence[Message]) -> dict[str, float]:
+    """The configuration that a strategy's messages carry, without the number of the round."""
+    (config,) = messages[0].content.config_records.values()
     return {
         key: float(value)
         for key, value in config.items()

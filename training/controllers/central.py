@@ -23,7 +23,7 @@ DRIVING = np.uint16(Flag.DRIVING)
 
 
 class CommandedFleet:
-    """A ``Fleet`` of robots without networks, which do what they are told.
+    """A ``Fleet`` of robots without networks, which follow the one agent's orders.
 
     Args:
         robots: K.

@@ -107,7 +107,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
 def complete(made: Federation) -> bool:
     """Whether every SuperNode has been seen with what starts its clients."""
     made.status(1)
-    return all(node.complete for node in made._nodes)
+    return all(node.executor.seen for node in made._nodes)
 
 
 def test_every_supernode_has_a_place_and_a_port_of_its_own(
@@ -149,6 +149,34 @@ def test_a_supernode_that_can_start_no_clients_any_more_is_replaced(
     made.status(1)
     assert node.process.wait(10) != 0
     wait_until(lambda: len(started(tmp_path, "flower-supernode")) == 3)
+
+
+def test_a_supernode_whose_starter_died_before_anybody_saw_it_is_replaced(
+    running: Callable[..., Federation], install: Callable[[str, str], None], tmp_path: Path
+) -> None:
+    install("flower-supernode", SUPERNODE.replace('time.sleep(600)", "flower-superexec"', '0"'))
+    made = running(nodes=1)
+    node = made._nodes[0]
+
+    def replaced() -> bool:
+        made.status(1)
+        return made._nodes[0] is not node
+
+    wait_until(replaced)
+    assert not node.executor.seen
+
+
+def test_a_superlink_whose_starter_died_fails_a_run_that_has_not_begun(
+    running: Callable[..., Federation],
+    install: Callable[[str, str], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    child = "import subprocess\nsubprocess.Popen([sys.executable, '-c', 'pass'])\n"
+    install("flower-superlink", "import sys\n" + child + textwrap.dedent(SUPERLINK))
+    monkeypatch.setattr(control, "run_status", lambda *_: Status(RunState.PENDING))
+    made = running(nodes=1)
+    wait_until(lambda: made.status(1).state is RunState.FAILED)
+    assert made.status(1).details == "Flower's SuperExec ended without a word"
 
 
 def test_without_waiting_a_lost_supernode_fails_the_run_once_the_run_had_time_to_say_more(
