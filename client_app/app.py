@@ -18,7 +18,8 @@ from client_app.state import CheckpointedRobots, held_robots
 from conf import Config, fingerprint, from_yaml, waits_for_the_lost
 from lockstep import serve
 from lockstep.tls import client_context
-from storage.checkpoint_layout import STATE, node_folder
+from storage.checkpoint_layout import node_folder
+from training.run_folder import RunFolder
 from training.run_log import log_lines
 
 STATE_DIR = "state-dir"
@@ -106,7 +107,7 @@ def state_folder(config: Config, node_config: Mapping[str, object]) -> Path:
     """
     own = node_config.get(STATE_DIR)
     if own is None:
-        return Path(str(config.run.dir)) / STATE
+        return RunFolder.of(config).state
     return node_folder(Path(str(own)), str(config.run.id))
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from agent import config as agent
-from conf import scheme_checks
+from conf import scheme_checks, strategy_checks
 from conf.schema import Config
 from env import validate
 from env.config_checks import RULES as ENV_RULES
@@ -67,5 +67,5 @@ def _destination_rules(config: Config) -> list[Problem]:
     return lateness.problems(config.env, destinations)
 
 
-RULES = (_agent_rules, scheme_checks.rules, _destination_rules)
+RULES = (_agent_rules, scheme_checks.rules, _destination_rules, strategy_checks.rules)
 """Each counts on those before it."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -53,6 +54,9 @@ Says where the run in the folder RUN is.
 
   -h, --help       prints this"""
 
+COMMANDS = ("train", "evaluate", "oracle", "reproduce", "status", "map", "keys")
+"""Each is a module of ``experiments.commands``, which is loaded when it is asked for."""
+
 _USAGES = {"train": TRAIN_USAGE, "status": STATUS_USAGE}
 """Of the commands that do not print their own."""
 
@@ -76,11 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"risfleet {version('risfleet')}")
         return 0
     name, rest = given[0], given[1:]
-    command = _COMMANDS.get(name)
-    if command is None:
-        print(
-            f"risfleet: {name!r} is no command: there are {', '.join(_COMMANDS)}", file=sys.stderr
-        )
+    if name not in COMMANDS:
+        print(f"risfleet: {name!r} is no command: there are {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     if name in _USAGES and not {"-h", "--help"}.isdisjoint(rest):
         print(_USAGES[name])
@@ -91,7 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from env.plugins import PluginError
 
     try:
-        return command(rest)
+        return int(import_module(f"experiments.commands.{name}").main(rest))
     except KeyboardInterrupt:
         return 130
     except PluginError as error:
@@ -112,58 +113,6 @@ def _hidden_package() -> str:
             return f"{origin} hides the package {name} of RISFleet: {say}."
     return ""
 
-
-def _train(arguments: Sequence[str]) -> int:
-    from experiments.commands.train import main
-
-    return main(arguments)
-
-
-def _evaluate(arguments: Sequence[str]) -> int:
-    from experiments.commands.evaluate import main
-
-    return main(arguments)
-
-
-def _oracle(arguments: Sequence[str]) -> int:
-    from experiments.commands.oracle import main
-
-    return main(arguments)
-
-
-def _reproduce(arguments: Sequence[str]) -> int:
-    from experiments.commands.reproduce import main
-
-    return main(arguments)
-
-
-def _status(arguments: Sequence[str]) -> int:
-    from experiments.commands.status import main
-
-    return main(arguments)
-
-
-def _map(arguments: Sequence[str]) -> int:
-    from experiments.commands.map import main
-
-    return main(arguments)
-
-
-def _keys(arguments: Sequence[str]) -> int:
-    from experiments.commands.keys import main
-
-    return main(arguments)
-
-
-_COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
-    "train": _train,
-    "evaluate": _evaluate,
-    "oracle": _oracle,
-    "reproduce": _reproduce,
-    "status": _status,
-    "map": _map,
-    "keys": _keys,
-}
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -18,9 +18,11 @@ from server_app.clients import Clients
 from server_app.nodes import wait_for_nodes
 from server_app.recovery import RecoveringTrainer
 from training import resume
+from training.addresses import check_address, uses_tls
 from training.checkpoint import Checkpoint
-from training.preflight import check_address, checked, checked_yaml, default_concurrency, uses_tls
-from training.recording.files import report_failure
+from training.engine_limits import default_concurrency
+from training.preflight import checked, checked_yaml
+from training.run_folder import RunFolder
 
 NODES_PATIENCE_S = 2.0
 
@@ -32,18 +34,19 @@ def main(grid: Grid, context: Context) -> None:
     """Runs one training run on the clients that the federation has."""
     given = shlex.split(str(context.run_config.get("overrides", "")))
     config, resumed = _asked(given)
-    folder = Path(config.run.dir or f"runs/{time.strftime('%Y-%m-%d_%H-%M-%S')}").absolute()
-    if resumed is None and (folder / "metrics.csv").exists():
+    place = Path(config.run.dir or f"runs/{time.strftime('%Y-%m-%d_%H-%M-%S')}")
+    folder = RunFolder(place.absolute())
+    if resumed is None and folder.metrics_file.exists():
         raise ConfigError.of([("run.dir", folder, "a folder that holds no run yet")])
     print(f"run folder: {folder}", flush=True)
     try:
         _train(grid, config, folder, resumed)
     except Exception as error:
-        report_failure(folder, error)
+        folder.report_failure(error)
         raise
 
 
-def _train(grid: Grid, config: Config, folder: Path, resumed: Checkpoint | None) -> None:
+def _train(grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | None) -> None:
     """Deals the robots to the federation's nodes and trains with them."""
     check_address(config)
     where = config.federation.link

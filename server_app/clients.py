@@ -10,17 +10,17 @@ import logging
 import secrets
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
-from flwr.app import Array, ArrayRecord, ConfigRecord, Message, MessageType, RecordDict
+from flwr.app import Message
 from flwr.serverapp import Grid
 from numpy.typing import NDArray
 
-from conf import Config, robot_network, to_yaml, waits_for_the_lost
+from conf import Config, robot_network, waits_for_the_lost
 from lockstep import LinkServer, RobotLost
 from lockstep.errors import named, one_line
 from server_app.nodes import RoundError, held_by, placed
+from server_app.round_messages import LinkAddress, RoundStart, read_reply, train_message
 from training.partition import Block, partition_robots
 
 log = logging.getLogger(__name__)
@@ -32,21 +32,6 @@ DIED = "ActorDiedError"
 """What Flower's reason for a missing reply holds where one of Ray's processes was killed."""
 MOST_FAILURES = 5
 """Messages to one client that may fail in a row before the run is given up."""
-
-
-@dataclass(frozen=True, eq=False)
-class RoundStart:
-    """What a train message says of the state in which a round begins.
-
-    Attributes:
-        window: windows played before it, whose checkpoint the robots take; 0 is the run's start.
-        model: the global model that they take then, shape (2, P), or None.
-        resumed: whether they are to go on from checkpoints, which the link will say.
-    """
-
-    window: int
-    model: NDArray[np.float32] | None = None
-    resumed: bool = False
 
 
 class Clients:
@@ -192,15 +177,10 @@ class Clients:
         """
         result = np.empty((self._config.env.robots, *self.shape), dtype=np.float32)
         for block, reply in self.replies.items():
-            weights = reply.content.array_records["arrays"]["robots"].numpy()
-            if weights.shape != (len(block), *self.shape) or weights.dtype != np.float32:
-                raise RoundError(
-                    f"round {self.round}: {named(block)} sent {weights.dtype}{weights.shape}"
-                )
+            weights, spent_s = read_reply(reply, block, self.shape, self.round)
             result[list(block)] = weights
             self.flower_bytes[block] += weights.nbytes
-            spent = reply.content.metric_records["metrics"]["cpu_s"]
-            self.cpu_s[block] += float(spent)  # type: ignore[arg-type]
+            self.cpu_s[block] += spent_s
         return result
 
     # --- Messages ---------------------------------------------------------------------------------
@@ -224,29 +204,12 @@ class Clients:
         self._sent_at |= dict.fromkeys(sent, time.monotonic())
 
     def _train_message(self, block: Block) -> Message:
-        host, port = self._link.address
-        opening, arrays = self._opening, {}
-        if opening.model is not None:
-            arrays["model"] = Array(opening.model)
-            self.flower_bytes[block] += opening.model.nbytes
-        order = ConfigRecord(
-            {
-                "config": to_yaml(self._config),
-                "robots": list(block),
-                "tokens": [self._tokens[robot] for robot in block],
-                "host": host,
-                "port": port,
-                "certificate": self._certificate,
-                "round": self.round,
-                "window": opening.window,
-            }
-        )
-        return Message(
-            content=RecordDict({"arrays": ArrayRecord(arrays), "order": order}),
-            message_type=MessageType.TRAIN,
-            dst_node_id=self.places[block],
-            group_id=str(self.round),
-        )
+        if self._opening.model is not None:
+            self.flower_bytes[block] += self._opening.model.nbytes
+        tokens = {robot: self._tokens[robot] for robot in block}
+        link = LinkAddress(*self._link.address, self._certificate)
+        node = self.places[block]
+        return train_message(self._config, self._opening, self.round, node, tokens, link)
 
     def _collect(self) -> dict[Block, str]:
         """Takes the replies that have come; returns why clients ended without one."""

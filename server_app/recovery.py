@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 from conf import Config, waits_for_the_lost
@@ -20,10 +19,10 @@ from server_app.clients import Clients
 from server_app.nodes import RoundError
 from server_app.rounds import FlowerFleet
 from storage.checkpoint_files import checkpoints
-from storage.checkpoint_layout import STATE, server_folder
+from storage.checkpoint_layout import server_folder
 from training.checkpoint import Checkpoint, newest
 from training.partition import Block
-from training.recording.files import report_state
+from training.run_folder import RunFolder
 from training.run_log import log_lines
 from training.session import TrainingRun
 
@@ -46,7 +45,9 @@ class RecoveringTrainer:
         clients: who holds the robots.
     """
 
-    def __init__(self, config: Config, folder: Path, link: LinkServer, clients: Clients) -> None:
+    def __init__(
+        self, config: Config, folder: RunFolder, link: LinkServer, clients: Clients
+    ) -> None:
         self._config, self._folder, self._clients = config, folder, clients
         self._link = link
         self._fleet = FlowerFleet(config, link, clients, self._on_round)
@@ -88,7 +89,7 @@ class RecoveringTrainer:
     ) -> Checkpoint | None:
         """Waits until all robots are there again; returns where the run goes on."""
         log.warning("%s; waiting for it to come back", loss)
-        report_state(self._folder, "waiting", str(loss))
+        self._folder.report_state("waiting", str(loss))
         began = time.perf_counter()
         checkpoint = self._assembled({})
         waited_s = time.perf_counter() - began
@@ -107,8 +108,8 @@ class RecoveringTrainer:
             RoundError: the run is past its first checkpoints, and they have none in common.
         """
         common = self._fleet.assemble(places)
-        own = checkpoints(server_folder(self._folder / STATE))
-        checkpoint = newest(self._folder / STATE, {*common} & {*own}, self._config.run.id)
+        own = checkpoints(server_folder(self._folder.state))
+        checkpoint = newest(self._folder.state, {*common} & {*own}, self._config.run.id)
         if checkpoint is None and len(own) > EARLY:
             held = [f"{named(block)}: {_listed(kept)}" for block, kept in self._link.kept().items()]
             raise RoundError(

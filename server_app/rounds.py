@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from conf import Config, waits_for_the_lost, windows_per_round
 from lockstep import Expect, LinkServer, LinkTimeout, RobotLost
 from lockstep.errors import named
-from server_app.clients import Clients, RoundStart
+from server_app.clients import Clients
 from server_app.nodes import POLL_S, RoundError
+from server_app.round_messages import RoundStart
 from training.partition import Block
 from training.recording.costs import Costs
 

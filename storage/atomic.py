@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-pass
-
 
 def write_whole(path: Path, content: bytes) -> None:
     """Puts a file in its place so that it appears whole or not at all, and outlasts a crash.
@@ -16,19 +14,39 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         OSError: it cannot be written; nothing of it is left, and the message names the file.
     """
-    written = path.with_suffix(".writing")
+    _put(path, path.with_suffix(".writing"), content, durable=True)
     with naming(path):
-        try:
+        _flush_folder(path.parent)
+
+
+def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
+    """Writes a text file so that a reader sees either the old or the new one.
+
+    Args:
+        path: the file.
+        text: all of it.
+        durable: whether it must outlast a crash of the machine.
+
+    Raises:
+        OSError: as ``write_whole``.
+    """
+    _put(path, path.with_name(f".{path.name}.{os.getpid()}"), text.encode(), durable=durable)
+
+
+def _put(path: Path, written: Path, content: bytes, *, durable: bool) -> None:
+    """Writes a file elsewhere and moves it to its place."""
+    try:
+        with naming(path):
             with written.open("wb") as file:
                 file.write(content)
                 file.flush()
-                os.fsync(file.fileno())
+                if durable:
+                    os.fsync(file.fileno())
             written.replace(path)
-        except OSError:
-            with suppress(OSError):  # what was half written would keep a full disk full
-                written.unlink(missing_ok=True)
-            raise
-        _flush_folder(path.parent)
+    except OSError:
+        with suppress(OSError):  # what was half written would keep a full disk full
+            written.unlink(missing_ok=True)
+        raise
 
 
 @contextmanager
@@ -48,25 +66,3 @@ def _flush_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
-    """Writes a text file so that a reader sees either the old or the new one.
-
-    Args:
-        path: the file.
-        text: all of it.
-        durable: whether it must outlast a crash of the machine.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with naming(path), temporary.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            if durable:
-                os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError:
-        with suppress(OSError):  # what was half written would keep a full disk full
-            temporary.unlink(missing_ok=True)
-        raise

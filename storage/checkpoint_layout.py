@@ -6,9 +6,6 @@ from pathlib import Path
 
 from storage.checkpoint_files import Json, checkpoints
 
-STATE = "state"
-"""The folder of checkpoints, below a run's."""
-
 
 def server_folder(state: Path) -> Path:
     """The server's checkpoints."""

@@ -172,8 +172,9 @@ def tiny_overrides() -> tuple[str, ...]:
 def tiny_run(_tiny_defaults: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a finished tiny run, with figures and events; not to be written to."""
     from experiments.runtimes import local
+    from training.run_folder import RunFolder
 
     folder: Path = tmp_path_factory.mktemp("tiny") / "run"
     changes = {"run.dir": str(folder), "run.figures": True, "run.tensorboard": True}
-    local.train(changed(_tiny_defaults, changes), folder)
+    local.train(changed(_tiny_defaults, changes), RunFolder(folder))
     return folder

@@ -27,13 +27,14 @@ RULES = {
     "conf": {"conf", "agent", "env", "hydra", "omegaconf", "yaml", "annotated_types"},
     "training.aggregation": {*A_RUN, "numpy", "flwr"},
     "training.recording.figures": {*A_RUN, "numpy", "matplotlib"},
-    "training.recording": {*A_RUN, "numpy", "safetensors", "torch.utils.tensorboard"},
+    "training.recording": {*A_RUN, "numpy", "torch.utils.tensorboard"},
+    "training.run_folder": {*A_RUN, "numpy", "safetensors"},
     "training": {*A_RUN, "numpy"},
     "client_app": {"client_app", *A_RUN, "flwr", "numpy"},
     "server_app": {"server_app", *A_RUN, "flwr", "numpy", "cryptography"},
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
-        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography",
+        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography", "psutil",
     },
 }  # fmt: skip
 
@@ -186,8 +187,13 @@ def test_the_physics_needs_nothing_but_numpy():
         ("storage.checkpoint_files", ""),
         ("conf.compose", ""),
         ("training.evaluation", ""),
+        ("training.preflight", ""),
+        ("training.resume", ""),
+        ("training.coordinator", "torch"),
+        ("training.session", "torch"),
         ("training.controllers.schemes", "torch"),
         ("training.recording.history", ""),
+        ("training.run_folder", ""),
     ],
 )
 def test_importing_a_module_loads_no_heavy_library_that_it_does_not_need(module, loaded):

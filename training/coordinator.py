@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,12 @@ from env.episode import EpisodeAccumulator
 from env.world import StepResult, World
 from lockstep import UPDATE, Expect, Flag, Fleet
 from storage.generators import generator_state, restore_generator
-from training.aggregation.aggregator import Aggregator
 from training.checkpoint import flat, part
 from training.controllers.access_point import RisController
 from training.recording.progress import Observer, Progress
+
+if TYPE_CHECKING:
+    from training.aggregation.aggregator import Aggregator
 
 # As NumPy's own numbers: it would look for attributes on an enum's member at every use.
 OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARRIVED, Flag.DRIVING))

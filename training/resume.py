@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,17 +13,13 @@ from conf.overrides import parse
 from conf.user_paths import RESUME, pasted, resumed_folder
 from env.texts import read_text
 from storage.checkpoint_files import CheckpointError
-from storage.checkpoint_layout import STATE
 from training.checkpoint import Checkpoint, latest
 from training.preflight import check, checked_yaml
-from training.recording.files import check_files
+from training.recording.csv_log import check_files
+from training.run_folder import RunFolder
 
 MAY_CHANGE = ("train.episodes", "train.max_ticks")
 """What a resume may set: when the run ends. All else would make it another run."""
-FINAL = {"summary.json", "weights.safetensors"}
-"""What a run that has ended leaves behind."""
-BEFORE_THE_START = {"progress.json", "stop"}
-"""What a run may leave behind that did not get to its configuration."""
 
 
 def new_id() -> str:
@@ -73,7 +68,7 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
     return config, checkpoint
 
 
-def find_run_state(config: Config, folder: Path) -> dict[str, Any] | Checkpoint | None:
+def find_run_state(config: Config, folder: RunFolder) -> dict[str, Any] | Checkpoint | None:
     """How far a run has come that is wanted whole.
 
     Args:
@@ -88,13 +83,12 @@ def find_run_state(config: Config, folder: Path) -> dict[str, Any] | Checkpoint 
     Raises:
         ConfigError: the folder holds something else, or a checkpoint of another version.
     """
-    held = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    if held <= BEFORE_THE_START:
+    if not folder.has_begun:
         return None
-    own = _config(folder, []) if "config.yaml" in held else None
+    own = _config(folder, []) if folder.config_file.exists() else None
     if own is None or not same(own, config, until=False):
         raise ConfigError.of([("run.dir", folder, "a folder that is new, empty or of this run")])
-    found: dict[str, Any] | Checkpoint | None = _ended(config, folder) if held >= FINAL else None
+    found: dict[str, Any] | Checkpoint | None = _ended(config, folder) if folder.has_ended else None
     over = found is not None
     if found is None:
         try:
@@ -107,9 +101,9 @@ def find_run_state(config: Config, folder: Path) -> dict[str, Any] | Checkpoint 
     return found
 
 
-def _ended(config: Config, folder: Path) -> dict[str, Any] | None:
+def _ended(config: Config, folder: RunFolder) -> dict[str, Any] | None:
     """What ``summary.json`` holds if the run has come to its end."""
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8-sig"))
+    summary = folder.read_summary()
     return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
 
 
@@ -132,7 +126,7 @@ def _essence(config: Config) -> str:
     return to_yaml(dataclasses.replace(config, run=run, train=train, federation=federation))
 
 
-def _checkpoint(folder: Path, config: Config) -> Checkpoint:
+def _checkpoint(folder: RunFolder, config: Config) -> Checkpoint:
     """The newest whole checkpoint of a run.
 
     Raises:
@@ -141,7 +135,7 @@ def _checkpoint(folder: Path, config: Config) -> Checkpoint:
     """
     elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
     kept = robots_learn(config) and not elsewhere
-    checkpoint = latest(folder / STATE, config.env.robots if kept else 0, config.run.id)
+    checkpoint = latest(folder.state, config.env.robots if kept else 0, config.run.id)
     check_files(folder, checkpoint.meta["marks"])
     if checkpoint.meta["fingerprint"] != fingerprint(config.env):
         raise ConfigError(
@@ -162,28 +156,29 @@ def _is_over(config: Config, episodes: int, ticks: int) -> bool:
     return episodes >= config.train.episodes or (most is not None and ticks >= most)
 
 
-def _folder(overrides: Sequence[str]) -> Path:
+def _folder(overrides: Sequence[str]) -> RunFolder:
     folders = [folder for item in overrides if (folder := resumed_folder(item)) is not None]
     if len(folders) > 1:
         raise ConfigError(f"resume={folders[1]}: allowed is one run to go on with.")
-    if not (folders[0] / "config.yaml").is_file():
+    if not RunFolder(folders[0]).config_file.is_file():
         raise ConfigError(f"resume={folders[0]}: allowed is the folder of a run.")
-    return folders[0].absolute()
+    return RunFolder(folders[0].absolute())
 
 
-def _config(folder: Path, overrides: Sequence[str]) -> Config:
+def _config(folder: RunFolder, overrides: Sequence[str]) -> Config:
     """The run's own configuration, with what is set anew."""
     try:
-        config = checked_yaml(read_text(folder / "config.yaml"))
+        config = checked_yaml(read_text(folder.config_file))
     except (OSError, UnicodeError) as error:
-        raise ConfigError(f"resume={folder}: config.yaml cannot be read: {error}.") from error
+        name = folder.config_file.name
+        raise ConfigError(f"resume={folder}: {name} cannot be read: {error}.") from error
     config = overridden(config, overrides)
     return check(dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder))))
 
 
-def _check_unfinished(folder: Path, config: Config, checkpoint: Checkpoint) -> None:
+def _check_unfinished(folder: RunFolder, config: Config, checkpoint: Checkpoint) -> None:
     episodes, tick = _counts(checkpoint)
-    if not all((folder / name).exists() for name in FINAL):
+    if not folder.has_ended:
         return  # it died after its last window: the rest is still to be written
     if _is_over(config, episodes, tick):
         raise ConfigError(

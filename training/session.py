@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,23 +17,17 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 from lockstep import Fleet
-from storage.atomic import write_atomically
 from storage.checkpoint_files import Writer, digest
-from storage.checkpoint_layout import STATE, owner
-from training.aggregation.strategies import build_aggregator
+from storage.checkpoint_layout import owner
 from training.checkpoint import Checkpoint, save_server
 from training.communication import per_tick, waiting
 from training.controllers.schemes import build_ris_controller
 from training.coordinator import Coordinator
 from training.evaluation import Evaluator
 from training.recording.costs import Costs
-from training.recording.figures import save_figures
-from training.recording.files import save_weights, to_json
 from training.recording.history import MEASURES, evaluate
 from training.recording.recorder import Recorder
-
-STOP_FILE = "stop"
-"""A file of this name in the run folder ends the run at the next window boundary."""
+from training.run_folder import RunFolder
 
 LAST_EVALUATIONS = 5
 FINAL_EPSILON = 0.05
@@ -53,7 +46,7 @@ class TrainingRun:
     def __init__(
         self,
         config: Config,
-        folder: Path,
+        folder: RunFolder,
         resumed: Checkpoint | None = None,
         losses: Sequence[dict[str, Any]] = (),
     ) -> None:
@@ -106,12 +99,14 @@ class TrainingRun:
         Returns:
             What ``summary.json`` holds.
         """
+        from training.aggregation.strategies import build_aggregator  # Flower: once a run trains
+
         before = Costs() if self._resumed is None else Costs(**self._resumed.meta["costs"])
         earlier = costs()  # of a part of the run that was played in vain
         self._costs = lambda: before.plus(costs().minus(earlier))
         self.recorder.clients = clients
         aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
-        stop = (self.folder / STOP_FILE).exists
+        stop = self.folder.stop_file.exists
 
         def keep(last: bool) -> None:
             self._checkpoint(run, last=last)
@@ -159,7 +154,7 @@ class TrainingRun:
             "fingerprint": fingerprint(self.config.env),
             "losses": self.losses,
         }
-        save_server(self._writer, self.folder / STATE, window, run.state(), meta)
+        save_server(self._writer, self.folder.state, window, run.state(), meta)
         self.recorder.checkpoint = window
 
     def _finish(
@@ -167,7 +162,7 @@ class TrainingRun:
     ) -> dict[str, Any]:
         """Evaluates the final weights, and writes weights, summary and figures."""
         ap = self.ap.weights()
-        save_weights(self.folder / "weights.safetensors", robots, ap)
+        self.folder.write_weights(robots, ap)
         online = robots[:1, 0] if shared else robots[:, 0]
         explored, greedy = evaluate(self.evaluator, online, ap[0], FINAL_EPSILON)
         history = self.recorder.history
@@ -208,9 +203,9 @@ class TrainingRun:
                 "last5_greedy": history.last(LAST_EVALUATIONS, greedy=True),
             },
         }
-        write_atomically(self.folder / "summary.json", to_json(summary))
+        self.folder.write_summary(summary)
         if self.config.run.figures:
-            save_figures(
-                self.folder / "figures", self.config, self.evaluator, online, ap[0], history
-            )
+            from training.recording.figures import save_figures  # matplotlib: where it is wanted
+
+            save_figures(self.folder.figures, self.config, self.evaluator, online, ap[0], history)
         return summary

@@ -10,9 +10,10 @@ from gymnasium import logger, spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
+from env.apis.observation_spaces import ap_space, robot_space
+from env.apis.starts import start_cells, starts_asked
 from env.checks import checked_config, refuse
 from env.config import EnvConfig
-from env.geometry.floor import UNREACHABLE
 from env.mdp import lateness
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
     from env.rendering.frames import Picture
 
 AP = "ap"
-CHANNEL_BOUND = 10.0
-"""Bound of the channel's entry: |hbar|^2 from -270 to 130 dB, more than any floor has."""
-TEST_OPTION = "options"
-"""Means nothing: PettingZoo's own test of environments gives it to each of them."""
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -150,18 +147,10 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self._make_spaces()
 
     def _make_spaces(self) -> None:
-        observer, world = self.world.observer, self.world
-        unit, channel = [1.0], [CHANNEL_BOUND]
-        offset = unit * (observer.local_size - 3)
-        local = np.array(unit * 2 + channel + offset, dtype=np.float32)
-        high = np.array((unit * 2 + channel + unit * 3 + offset) * world.robots, dtype=np.float32)
-        low = -high
-        low[5 :: len(high) // world.robots] = 0.0
+        world, encoder = self.world, self.world.observer
         actions = world.scenario.actions.count
-        self.observation_spaces: dict[str, spaces.Box[np.float32]] = {
-            name: spaces.Box(-local, local, dtype=np.float32) for name in self.robots
-        }
-        self.observation_spaces[AP] = spaces.Box(low, high, dtype=np.float32)
+        self.observation_spaces = {name: robot_space(encoder) for name in self.robots}
+        self.observation_spaces[AP] = ap_space(encoder, world.robots)
         self.action_spaces = {name: spaces.Discrete(actions) for name in self.robots}
         self.action_spaces[AP] = spaces.Discrete(world.phase_actions)
         self.state_space = self.observation_spaces[AP]
@@ -186,35 +175,14 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         Raises:
             ValueError: another option, or starts that cannot be.
         """
-        starts = _starts_asked(options)
-        cell = None if starts is None else self._start_cells(starts)[None]
+        starts = starts_asked(options)
+        cell = None if starts is None else start_cells(self.world, starts)[None]
         if seed is not None:
             self.world.generator = stream(seed, Stream.WORLD)
         self.world.reset(cell)
         self.agents = list(self.possible_agents)
         self._way, self._outcome = [self.world.cell[0]], None
         return self._observations(), self._infos(self.world.direct[0])
-
-    def _start_cells(self, starts_m: Any) -> NDArray[np.int64]:
-        shown = starts_m.tolist() if isinstance(starts_m, np.ndarray) else starts_m
-        key, allowed = f"options.starts_m={shown!r}", f"{self.world.robots} positions [x, y] in m"
-        try:
-            position = np.asarray(starts_m, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{key}: allowed is {allowed}") from error
-        if position.shape != (self.world.robots, 2) or not np.isfinite(position).all():
-            raise ValueError(f"{key}: allowed is {allowed}")
-        if (position < 0).any() or (position >= self.world.floor.size_m).any():
-            raise ValueError(f"{key}: allowed is inside the room")
-        cell = self.world.floor.cell_at(position)
-        if (cell == self.world.destinations).any():
-            raise ValueError(f"{key}: allowed is off the destination")
-        cut_off = self.world.slots_to_go[cell, np.arange(len(cell))] == UNREACHABLE
-        if cut_off.any():
-            raise ValueError(f"{key}: allowed is with a way to drive")
-        if self.config.collisions == "block" and len({*cell.tolist()}) < len(cell):
-            raise ValueError(f"{key}: allowed is in cells of their own")
-        return cell
 
     def step(
         self, actions: Mapping[str, Any]
@@ -328,13 +296,3 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 def parallel_env(**kwargs: Any) -> RISFleetParallelEnv:
     """Makes the environment, under the name that PettingZoo's tools look for."""
     return RISFleetParallelEnv(**kwargs)
-
-
-def _starts_asked(options: Mapping[str, Any] | None) -> Any:
-    """``starts_m`` of a reset's options, None without."""
-    if options is not None and not isinstance(options, Mapping):
-        raise ValueError(f"options={options!r}: allowed is a mapping with starts_m, or None")
-    for name, value in (options or {}).items():
-        if name not in ("starts_m", TEST_OPTION):
-            raise ValueError(f"options.{name}={value!r}: allowed is the option starts_m alone")
-    return (options or {}).get("starts_m")

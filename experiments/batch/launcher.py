@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hydra import initialize_config_dir
-from hydra._internal.callbacks import Callbacks
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
+from hydra.experimental.callback import Callback
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf.errors import OmegaConfBaseException
@@ -53,7 +53,8 @@ def build_launcher(
                 run_mode=RunMode.MULTIRUN,
                 with_log_configuration=False,
             )
-            context = HydraContext(hydra.config_loader, Callbacks(config))
+            # A callback that does nothing: ``hydra.callbacks`` is no key that can be set here.
+            context = HydraContext(hydra.config_loader, Callback())  # type: ignore[arg-type]
             return Plugins.instance().instantiate_launcher(
                 hydra_context=context, task_function=task, config=config
             )

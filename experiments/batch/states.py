@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from enum import Enum
 from pathlib import Path
 
 from conf import Config, ConfigError, fingerprint
 from training import resume
 from training.checkpoint import Checkpoint
-from training.recording.reading import read_config, read_weights
+from training.run_folder import RunFolder
 
 TICKS_PER_EPISODE = 85
 MS_PER_TICK_AND_ROBOT = 0.5
@@ -27,7 +26,7 @@ class State(Enum):
 
 def folder_of(config: Config) -> Path:
     """A run's folder."""
-    return Path(str(config.run.dir))
+    return RunFolder.of(config).path
 
 
 def cost_s(config: Config) -> float:
@@ -43,7 +42,7 @@ def state_of(config: Config) -> State:
     if _is_done(config):
         return State.DONE
     try:
-        found = resume.find_run_state(config, folder_of(config))
+        found = resume.find_run_state(config, RunFolder.of(config))
     except (LookupError, OSError, ValueError):
         return State.NEW
     return State.BEGUN if isinstance(found, Checkpoint) else State.NEW
@@ -55,7 +54,7 @@ def check_folder(config: Config) -> None:
     Raises:
         ConfigError: it holds something else, or the run of another version.
     """
-    found = resume.find_run_state(config, folder_of(config))
+    found = resume.find_run_state(config, RunFolder.of(config))
     if isinstance(found, dict) and not _is_done(config):
         allowed = "a folder whose run is whole and of this version of RISFleet"
         raise ConfigError.of([("run.dir", folder_of(config), allowed)])
@@ -63,13 +62,13 @@ def check_folder(config: Config) -> None:
 
 def _is_done(config: Config) -> bool:
     """Whether a run has ended as it was meant to, and its files can be read."""
-    folder = folder_of(config)
+    folder = RunFolder.of(config)
     try:
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8-sig"))
+        summary = folder.read_summary()
         whole = not summary["stopped_early"] and summary["fingerprint"] == fingerprint(config.env)
-        if not whole or not resume.same(read_config(folder), config):
+        if not whole or not resume.same(folder.read_config(), config):
             return False
-        read_weights(folder, config)
+        folder.read_weights(config)
     except (LookupError, TypeError, ValueError, OSError):
         return False
-    return all((folder / name).is_file() for name in ("metrics.csv", "evaluations.csv"))
+    return folder.has_records

@@ -15,10 +15,9 @@ from experiments.batch.launcher import build_launcher
 from experiments.batch.states import State, cost_s, folder_of, state_of
 from experiments.batch.watch import Watch
 from experiments.batch.worker import Work
-from experiments.console.display import read_progress
 from experiments.console.mishaps import in_words
 from experiments.runtimes.stopping import ShieldedSignals
-from training.session import STOP_FILE
+from training.run_folder import RunFolder
 
 ATTEMPTS = 2
 """A process that dies takes its launcher's other jobs with it, so these are launched again."""
@@ -64,7 +63,7 @@ def train(
     """
     workers = workers or _cores()
     runs = {folder_of(config): config for config in configs}
-    files = [store / STOP_FILE, *(folder / STOP_FILE for folder in runs)]
+    files = [RunFolder(folder).stop_file for folder in (store, *runs)]
     with ShieldedSignals(files, console) as signals:
         failed: dict[Path, str] = {}
         states = _states(runs)
@@ -100,23 +99,18 @@ def _clear(folder: Path, state: State) -> None:
     """Removes what cannot be used, and what an earlier attempt said of its end."""
     if state is State.NEW and folder.exists():
         shutil.rmtree(folder)
-    elif _said_failed(folder):
-        (folder / "progress.json").unlink()
+    elif RunFolder(folder).failure is not None:
+        RunFolder(folder).progress_file.unlink()
 
 
 def _failed(states: Mapping[Path, State]) -> dict[Path, str]:
     """Why runs failed that say so, by folder."""
     found = {}
     for folder, state in states.items():
-        said = _said_failed(folder)
-        if state is not State.DONE and said:
-            found[folder] = said
+        why = RunFolder(folder).failure
+        if state is not State.DONE and why is not None:
+            found[folder] = why
     return found
-
-
-def _said_failed(folder: Path) -> str | None:
-    status = read_progress(folder)
-    return str(status["message"]) if status and status["state"] == "failed" else None
 
 
 def _launch(
@@ -134,7 +128,7 @@ def _launch(
         highlight=False,
         soft_wrap=True,
     )
-    work = Work(tuple(missing), store / STOP_FILE, os.getpid())
+    work = Work(tuple(missing), RunFolder(store).stop_file, os.getpid())
     launcher = build_launcher(work, hydra, store, workers)
     with Watch(done, missing, signals, console):
         try:

@@ -12,8 +12,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from conf import Config
 from experiments.batch.states import cost_s, folder_of
-from experiments.console.display import RUNNING, Showing, read_progress, share_done
+from experiments.console.display import RUNNING, Showing, share_done
 from experiments.runtimes.stopping import ShieldedSignals
+from training.run_folder import RunFolder
 
 POLL_S = 0.5
 LINE_PERIOD_S = 30.0
@@ -70,7 +71,7 @@ class Watch(Showing):
         """What runs last wrote; those that are still to go on are in the state "stopped"."""
         found = {}
         for folder in self._costs_s:
-            status = read_progress(folder)
+            status = RunFolder(folder).read_progress()
             if status is not None:
                 before = (status["written_at"] or 0.0) < self._began_at
                 found[folder] = status | ({"state": "stopped"} if before else {})

@@ -13,11 +13,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from conf import Config
-from experiments.batch.states import folder_of
 from experiments.runtimes.runner import train_quietly
 from experiments.runtimes.stopping import IgnoredSignals
-from training.recording.files import report_failure
-from training.session import STOP_FILE
+from training.run_folder import RunFolder
 
 LOOK_S = 1.0
 
@@ -43,18 +41,18 @@ class Work:
             node: as Hydra composed it; the run's configuration was made and checked before.
         """
         config = self.configs[int(HydraConfig.get().job.num)]
-        folder = folder_of(config)
+        folder = RunFolder.of(config)
         here = os.getpid() == self.owner
         with (
             nullcontext() if here else IgnoredSignals(),
-            _ending_with(self.owner, [self.stop, folder / STOP_FILE]),
+            _ending_with(self.owner, [self.stop, folder.stop_file]),
         ):
             if self.stop.exists():
                 return
             try:
                 train_quietly(config)
             except Exception as error:
-                report_failure(folder, error)
+                folder.report_failure(error)
 
 
 @contextmanager

@@ -16,10 +16,9 @@ from conf.user_paths import user_path
 from experiments.console.arguments import check_place, not_negative, positive, run_folder, share
 from experiments.console.display import evaluation_table
 from storage.atomic import write_atomically
+from storage.strict_json import to_json
 from training.evaluation import Evaluator
 from training.preflight import checked
-from training.recording.files import to_json
-from training.recording.reading import read_config, read_weights
 
 EPSILONS = (0.0, 0.05)
 
@@ -83,8 +82,8 @@ def _read(what: Sequence[str]) -> tuple[Config, NDArray[np.float32], NDArray[np.
     """A run's configuration and online weights; or a configuration in which nothing learns."""
     folder = run_folder(what)
     if folder is not None:
-        config = read_config(folder)
-        return config, *read_weights(folder, config)
+        config = folder.read_config()
+        return config, *folder.read_weights(config)
     config = checked(what)
     if not learns_nothing(config):
         raise ConfigError(

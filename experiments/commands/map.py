@@ -26,8 +26,8 @@ from env.rendering.drawing import best_gain_db, draw_floor
 from env.seeding import Stream, stream
 from experiments.console.arguments import check_place
 from storage.atomic import write_atomically
+from storage.strict_json import to_json
 from training.preflight import checked
-from training.recording.files import to_json
 
 DRAWS = 16
 """Draws of a random phase for each element."""

@@ -20,10 +20,9 @@ from experiments.analysis import optimality_gap
 from experiments.analysis.optimality_gap import SLACK
 from experiments.console.arguments import check_place, not_negative, positive, run_folder
 from storage.atomic import write_atomically
+from storage.strict_json import to_json
 from training.evaluation import Evaluator
 from training.preflight import checked
-from training.recording.files import to_json
-from training.recording.reading import read_config, read_weights
 
 EPISODES = 20
 COLUMNS = {
@@ -114,8 +113,8 @@ def _read(
     folder = run_folder(what)
     if folder is None:
         return checked(list(what)), None
-    config = read_config(folder)
-    return config, read_weights(folder, config)
+    config = folder.read_config()
+    return config, folder.read_weights(config)
 
 
 def _shown(starts: Iterable[NDArray[np.int64]]) -> Iterable[NDArray[np.int64]]:

@@ -11,7 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from conf.user_paths import user_path
-from experiments.console.display import describe, read_progress, silent_s
+from experiments.console.display import describe, silent_s
+from training.run_folder import RunFolder
 
 SILENT_S = 10.0
 """A run that writes nothing for longer may have died."""
@@ -35,8 +36,8 @@ def main(arguments: Sequence[str]) -> int:
     if len(arguments) != 1:
         print("risfleet: status needs one run folder: risfleet status RUN", file=sys.stderr)
         return 2
-    folder = user_path(arguments[0])
-    status = read_progress(folder)
+    folder = RunFolder(user_path(arguments[0]))
+    status = folder.read_progress()
     if status is None:
         print(f"risfleet: {folder} holds no run that has begun", file=sys.stderr)
         return 2

@@ -18,12 +18,12 @@ from experiments.batch.states import check_folder
 from experiments.runtimes.folders import dated, made, run_lock
 from experiments.runtimes.runner import ERRORS, print_error, train_missing
 from training.preflight import checked_training
-from training.session import STOP_FILE
+from training.run_folder import RunFolder
 
 DIR = "run.dir"
 BASIC = "hydra/launcher=basic"
-LEFT = {STOP_FILE, "multirun.yaml"}
-"""What a sweep's folder may hold beside its runs' own."""
+HYDRAS = "multirun.yaml"
+"""What Hydra leaves in a sweep's folder."""
 
 
 def train_all(overrides: Sequence[str]) -> int:
@@ -109,7 +109,8 @@ def _check_unused(folder: Path, configs: Sequence[Config]) -> None:
         ConfigError: it holds something else.
     """
     held = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    if (folder.exists() and not folder.is_dir()) or any(not name.isdigit() for name in held - LEFT):
+    left = {RunFolder(folder).stop_file.name, HYDRAS}
+    if (folder.exists() and not folder.is_dir()) or any(not name.isdigit() for name in held - left):
         raise ConfigError.of([(DIR, folder, "a folder that is new or empty, or of this sweep")])
     for config in configs:
         check_folder(config)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from conf import Config, ConfigError
 from conf.commented import commented_yaml
@@ -11,7 +10,9 @@ from experiments.commands.sweep import train_all
 from experiments.runtimes.folders import new_folder
 from experiments.runtimes.runner import ERRORS, print_error, train
 from training import resume
-from training.preflight import check_address, checked, checked_training
+from training.addresses import check_address
+from training.preflight import checked, checked_training
+from training.run_folder import RunFolder
 
 FLAGS = ("-m", "--multirun", "--cfg")
 
@@ -30,7 +31,7 @@ def main(arguments: Sequence[str]) -> int:
         if resume.asked(overrides):
             config, checkpoint = resume.read(overrides)
             _check_address(config)
-            return train(config, Path(str(config.run.dir)), checkpoint)
+            return train(config, RunFolder.of(config).path, checkpoint)
         config = checked_training(overrides)
         _check_address(config)
         return train(config, new_folder(config))

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from conf import ConfigError
 from conf.user_paths import user_path
+from training.run_folder import RunFolder
 
 
-def run_folder(what: Sequence[str]) -> Path | None:
+def run_folder(what: Sequence[str]) -> RunFolder | None:
     """The run's folder that arguments name; None where they set keys.
 
     Raises:
@@ -21,7 +22,7 @@ def run_folder(what: Sequence[str]) -> Path | None:
     folders = [user_path(item) for item in what if "=" not in item or user_path(item).is_dir()]
     if folders and len(what) > 1:
         raise ConfigError(f"{' '.join(what)}: allowed is one run folder, or KEY=VALUE ... alone.")
-    return folders[0] if folders else None
+    return RunFolder(folders[0]) if folders else None
 
 
 def check_place(option: str, file: Path | None) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 import time
 from abc import ABC, abstractmethod
-from pathlib import Path
 from typing import Any, Self
 
 from rich.console import Console
@@ -18,6 +16,7 @@ from rich.text import Text
 
 from experiments.console.mishaps import in_words
 from training.recording.history import MEASURES
+from training.run_folder import RunFolder
 
 POLL_S = 0.5
 LINE_PERIOD_S = 10.0
@@ -33,36 +32,6 @@ LABELS = {
     "projections": "projections",
 }
 assert set(LABELS) == set(MEASURES)
-
-
-_NOTHING_YET: dict[str, Any] = {
-    "state": "unknown",
-    "message": "",
-    "written_at": None,
-    "tick": 0,
-    "window": 0,
-    "episode": 0,
-    "episodes": 1,
-    "max_ticks": None,
-    "steps_per_s": 0.0,
-    "slots": None,
-    "reward": None,
-    "ee": None,
-    "success": None,
-    "evaluated": None,
-}
-"""What a run that failed before its first tick could not say, and a damaged file does not."""
-
-
-def read_progress(folder: Path) -> dict[str, Any] | None:
-    """What a run last wrote to ``progress.json``; None if it has not yet."""
-    try:
-        written: dict[str, Any] = json.loads(
-            (folder / "progress.json").read_text(encoding="utf-8-sig")
-        )
-    except (OSError, ValueError):
-        return None
-    return _NOTHING_YET | written if isinstance(written, dict) else None
 
 
 def silent_s(status: dict[str, Any]) -> float | None:
@@ -170,7 +139,7 @@ class Display(Showing):
         console: where to show.
     """
 
-    def __init__(self, folder: Path, console: Console) -> None:
+    def __init__(self, folder: RunFolder, console: Console) -> None:
         super().__init__("display")
         self._folder, self._console = folder, console
 
@@ -180,14 +149,14 @@ class Display(Showing):
             return
         with Live(console=self._console, refresh_per_second=4, transient=True) as live:
             while not self._ended.wait(POLL_S):
-                if (status := read_progress(self._folder)) is not None:
+                if (status := self._folder.read_progress()) is not None:
                     live.update(_panel(status))
 
     def _print_lines(self) -> None:
         shown, printed = "", 0.0
         while True:
             ended = self._ended.wait(POLL_S)
-            status = read_progress(self._folder)
+            status = self._folder.read_progress()
             due = not ended and time.monotonic() - printed >= LINE_PERIOD_S
             if status is not None and (due or status["state"] != shown):
                 shown, printed = status["state"], time.monotonic()
@@ -237,7 +206,7 @@ def _measure(key: str, value: float | None) -> str:
     return format(value, ".4f" if key == "ee" else ".3f")
 
 
-def show_summary(console: Console, summary: dict[str, Any], folder: Path) -> None:
+def show_summary(console: Console, summary: dict[str, Any], folder: RunFolder) -> None:
     """The end of a run: what the policy is worth and where everything is."""
     evaluation = summary["evaluation"]
     title = (
@@ -250,12 +219,5 @@ def show_summary(console: Console, summary: dict[str, Any], folder: Path) -> Non
         "last 5 in training": evaluation["last5"],
     }
     console.print(evaluation_table(title, columns))
-    for name in sorted(_written(folder)):
-        console.print(f"  {name}", highlight=False, soft_wrap=True)
-
-
-def _written(folder: Path) -> list[str]:
-    names = ["summary.json", "metrics.csv", "evaluations.csv", "weights.safetensors"]
-    names += ["config.yaml", "tensorboard"]
-    found = [folder / name for name in names] + sorted((folder / "figures").glob("*.png"))
-    return [str(path) for path in found if path.exists()]
+    for path in folder.results():
+        console.print(f"  {path}", highlight=False, soft_wrap=True)

@@ -15,7 +15,7 @@ from experiments.flower.control import Status
 from experiments.flower.environment import FlowerError, tail, user_environment
 from experiments.flower.manifest import Components
 from experiments.flower.session import Session
-from training.preflight import is_loopback
+from training.addresses import is_loopback
 
 
 class Connection:

@@ -13,7 +13,7 @@ from experiments.flower.environment import FlowerError
 from experiments.flower.processes import Process, command, identify, members
 from experiments.flower.session import Session
 from experiments.flower.superlink import SuperLink
-from training.preflight import max_concurrent_clients
+from training.engine_limits import max_concurrent_clients
 
 _SIMULATION = "flwr-simulation"
 _CLIENT = "ray::ClientAppActor"

@@ -2,7 +2,7 @@
 
 Flower's SuperExec starts a session of its own and Ray's services outlive the process that started
 them, so neither a process group nor a tree of parents holds them all. Three things do: an
-environment variable that every child inherits (Linux shows it in `/proc`), the session's private
+environment variable that every child inherits (the system shows it), the session's private
 folder, in which they all work (Ray's agents write their titles over the environment that Linux
 shows), and the parents seen at each look.
 """
@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import psutil  # type: ignore[import-untyped]
+
 MARKER = "RISFLEET_SESSION"
-_PROC = Path("/proc")
-_STARTED = 19  # position of the start time in /proc/PID/stat after the command's name
 
 _SETTLE_S = 0.25
 """A process that has just been started shows no environment for some milliseconds (measured: 21 on
@@ -29,7 +28,14 @@ a busy machine): if the one that started it has died, it cannot be found until t
 
 @dataclass(frozen=True)
 class Process:
-    """A process: its number together with its start names it for good."""
+    """A process: its number together with its start names it for good.
+
+    Attributes:
+        pid: its number.
+        started: seconds from the machine's start to its own, as text.
+        parent: the number of the process that started it.
+        zombie: whether it has ended, and its parent has not looked yet.
+    """
 
     pid: int
     started: str
@@ -39,20 +45,35 @@ class Process:
 
 def table() -> dict[int, Process]:
     """All processes of this machine by number."""
-    return _table_from_proc() if (_PROC / "self" / "stat").exists() else _table_from_ps()
+    psutil.process_iter.cache_clear()  # else a number that another process has now keeps its start
+    booted_s = psutil.boot_time()
+    rows = (_row(handle, booted_s) for handle in psutil.process_iter())
+    return {row.pid: row for row in rows if row is not None}
 
 
 def identify(pid: int) -> Process | None:
     """The process of that number, None if there is none."""
-    return table().get(pid)
+    try:
+        return _row(psutil.Process(pid), psutil.boot_time())
+    except psutil.Error:
+        return None
 
 
 def command(process: Process) -> str:
     """Its command line, empty where it is gone or the system does not tell."""
     try:
-        return (_PROC / str(process.pid) / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-    except (OSError, UnicodeDecodeError):
+        return " ".join(psutil.Process(process.pid).cmdline())
+    except psutil.Error:
         return ""
+
+
+def environment(pid: int) -> Mapping[str, str]:
+    """The environment that a process began with, empty where the system does not tell."""
+    try:
+        found: dict[str, str] = psutil.Process(pid).environ()
+        return found
+    except psutil.Error:
+        return {}
 
 
 def members(
@@ -129,43 +150,26 @@ def _signal(process: Process, number: int) -> None:
         os.kill(process.pid, number)
 
 
-def _is_marked(pid: int, marker: str) -> bool:
+def _row(handle: psutil.Process, booted_s: float) -> Process | None:
+    """What is known of a process; None where it has gone.
+
+    Its start counts from the machine's, so that it stays the same where the clock is set.
+    """
     try:
-        environment = (_PROC / str(pid) / "environ").read_bytes()
-    except OSError:
-        return False
-    return f"{MARKER}={marker}".encode() in environment.split(b"\0")
+        with handle.oneshot():
+            started_s = handle.create_time() - booted_s
+            is_zombie = handle.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
+            return Process(handle.pid, f"{started_s:.2f}", handle.ppid(), is_zombie)
+    except psutil.Error:
+        return None
+
+
+def _is_marked(pid: int, marker: str) -> bool:
+    return environment(pid).get(MARKER) == marker
 
 
 def _works_in(pid: int, folder: Path | None) -> bool:
-    if folder is None:
-        return False
     try:
-        return (_PROC / str(pid) / "cwd").readlink() == folder
-    except OSError:
+        return folder is not None and bool(psutil.Process(pid).cwd() == str(folder))
+    except psutil.Error:
         return False
-
-
-def _table_from_proc() -> dict[int, Process]:
-    rows = {}
-    for entry in _PROC.iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            fields = (entry / "stat").read_text(errors="replace").rpartition(")")[2].split()
-        except OSError:
-            continue
-        pid = int(entry.name)
-        rows[pid] = Process(pid, fields[_STARTED], int(fields[1]), fields[0] in "ZX")
-    return rows
-
-
-def _table_from_ps() -> dict[int, Process]:
-    listing = subprocess.run(
-        ["ps", "-A", "-o", "pid=,ppid=,stat=,lstart="], capture_output=True, text=True, check=True
-    )
-    rows = {}
-    for line in listing.stdout.splitlines():
-        pid, parent, state, started = line.split(maxsplit=3)
-        rows[int(pid)] = Process(int(pid), started, int(parent), state.startswith("Z"))
-    return rows

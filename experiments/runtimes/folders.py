@@ -1,11 +1,10 @@
-"""Run folders: new ones, ones that are held, and what a run that goes on leaves out of its own."""
+"""Run folders: new ones, and ones that are held."""
 
 from __future__ import annotations
 
 import dataclasses
 import fcntl
 import os
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from conf import Config, ConfigError
 from training import resume
+from training.run_folder import RunFolder
 
 
 def new_folder(config: Config) -> Path:
@@ -57,7 +57,7 @@ def check_unused(folder: Path) -> None:
         raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
 
 
-def prepare_run(config: Config, folder: Path) -> tuple[Config, Path]:
+def prepare_run(config: Config, folder: Path) -> tuple[Config, RunFolder]:
     """A configuration that names its run and says where it is, and that folder, which is made.
 
     Raises:
@@ -65,7 +65,7 @@ def prepare_run(config: Config, folder: Path) -> tuple[Config, Path]:
     """
     folder = made(folder)
     run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
-    return dataclasses.replace(config, run=run), folder
+    return dataclasses.replace(config, run=run), RunFolder(folder)
 
 
 def made(folder: Path) -> Path:
@@ -84,15 +84,6 @@ def made(folder: Path) -> Path:
 
 def _unmade(folder: Path, error: OSError) -> ConfigError:
     return ConfigError.of([("run.dir", folder, f"a folder that can be made ({error.strerror})")])
-
-
-def clear(folder: Path, *, whole: bool = False) -> None:
-    """Removes what a run that goes on says anew, and of one that begins again what it had said."""
-    stale = ["progress.json", "summary.json"]
-    for name in stale + (["metrics.csv", "evaluations.csv"] if whole else []):
-        (folder / name).unlink(missing_ok=True)
-    if whole:
-        shutil.rmtree(folder / "tensorboard", ignore_errors=True)
 
 
 def run_lock(folder: Path) -> AbstractContextManager[None]:

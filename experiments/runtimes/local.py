@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,9 @@ from numpy.typing import NDArray
 from client_app.state import CheckpointedRobots
 from conf import Config
 from lockstep import Expect, LocalFleet
-from storage.checkpoint_layout import STATE
 from training.checkpoint import Checkpoint
 from training.controllers.central import CentralAgent
-from training.recording.files import report_failure
+from training.run_folder import RunFolder
 from training.session import TrainingRun
 
 
@@ -34,7 +32,7 @@ class InProcessFleet(LocalFleet):
         return self._uploaded() if self._farewell else super().upload(window)
 
 
-def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> dict[str, Any]:
+def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) -> dict[str, Any]:
     """Trains in this process.
 
     Args:
@@ -50,9 +48,9 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
         if isinstance(session.ap, CentralAgent):
             return session.train(session.ap.fleet)
         robots = tuple(range(config.env.robots))
-        state = None if config.state.every is None else folder / STATE
+        state = None if config.state.every is None else folder.state
         with closing(CheckpointedRobots(config, robots, state)) as keeper:
             return session.train(InProcessFleet([(robots, keeper)]))
     except BaseException as error:
-        report_failure(folder, error)
+        folder.report_failure(error)
         raise

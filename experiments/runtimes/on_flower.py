@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shlex
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, Protocol, Self
 
 from conf import Config, flower_clients, to_yaml
-from experiments.console.display import read_progress
 from experiments.flower import (
     Connection,
     Federation,
@@ -23,14 +20,11 @@ from experiments.flower import (
     UnansweredError,
 )
 from lockstep import LinkTimeout, RobotLost
-from storage.atomic import write_atomically
 from storage.checkpoint_files import CheckpointError
-from storage.checkpoint_layout import STATE
 from training.checkpoint import Checkpoint, latest
-from training.recording.files import report_failure, report_state, to_json
+from training.run_folder import RunFolder
 
 POLL_S = 1.0
-LOG_NAME = "flower.log"
 MOST_IN_VAIN = 3
 """Starts in a row without a new checkpoint before a run is given up."""
 
@@ -62,7 +56,7 @@ class Runner(Protocol):
         ...
 
 
-def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> dict[str, Any]:
+def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) -> dict[str, Any]:
     """Trains on Flower: on processes of this run's own, which end with it, or on a federation.
 
     Args:
@@ -78,23 +72,21 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> di
     """
     federation = dataclasses.replace(config.federation, clients=flower_clients(config))
     config = dataclasses.replace(config, federation=federation)
-    write_atomically(folder / "config.yaml", to_yaml(config))
+    folder.write_config(config)
     try:
         restarts = _run_with_restarts(config, folder, resumed)
     except BaseException as error:
-        report_failure(folder, error)
+        folder.report_failure(error)
         raise
-    path = folder / "summary.json"
-    if not path.exists():
+    if not folder.summary_file.exists():
         return {}
-    summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8-sig"))
-    summary |= {"restarts": restarts}
+    summary = folder.read_summary() | {"restarts": restarts}
     with suppress(OSError):  # the ServerApp has written all else
-        write_atomically(path, to_json(summary))
+        folder.write_summary(summary)
     return summary
 
 
-def _run_with_restarts(config: Config, folder: Path, resumed: Checkpoint | None) -> list[str]:
+def _run_with_restarts(config: Config, folder: RunFolder, resumed: Checkpoint | None) -> list[str]:
     """Runs to the end; where processes died that this has started, starts them again.
 
     Returns:
@@ -111,7 +103,7 @@ def _run_with_restarts(config: Config, folder: Path, resumed: Checkpoint | None)
             _run(config, folder, resumed is not None)
             return restarts
         except ProcessLostError as error:
-            if (folder / "summary.json").exists():
+            if folder.summary_file.exists():
                 return restarts  # it was done: what died had nothing left to do
             if not revives:
                 raise
@@ -123,21 +115,21 @@ def _run_with_restarts(config: Config, folder: Path, resumed: Checkpoint | None)
             sentence = str(error).splitlines()[0].removesuffix(".")
             restarts.append(f"{sentence}. Starting again from window {window}.")
             with suppress(OSError):
-                (folder / "progress.json").unlink(missing_ok=True)
+                folder.progress_file.unlink(missing_ok=True)
             with suppress(OSError):
-                report_state(folder, "waiting", restarts[-1])
+                folder.report_state("waiting", restarts[-1])
 
 
-def _last(config: Config, folder: Path) -> Checkpoint | None:
+def _last(config: Config, folder: RunFolder) -> Checkpoint | None:
     """Where a run goes on that was cut off; None if it must begin again."""
     try:
-        return latest(folder / STATE, config.env.robots, config.run.id)
+        return latest(folder.state, config.env.robots, config.run.id)
     except CheckpointError:
-        (folder / "metrics.csv").unlink(missing_ok=True)  # or it would not be taken for a new run
+        folder.metrics_file.unlink(missing_ok=True)  # or it would not be taken for a new run
         return None
 
 
-def _run(config: Config, folder: Path, resumes: bool) -> None:
+def _run(config: Config, folder: RunFolder, resumes: bool) -> None:
     """Hands the run in and waits for its end."""
     what = f"resume={folder}" if resumes else to_yaml(config)
     with _runner(config, folder) as runner:
@@ -168,29 +160,29 @@ def _awaited(runner: Runner, run_id: int, patience_s: float) -> Status:
         time.sleep(getattr(runner, "poll_s", POLL_S))
 
 
-def _runner(config: Config, folder: Path) -> Runner:
+def _runner(config: Config, folder: RunFolder) -> Runner:
     clients, patience_s = flower_clients(config), config.runtime.start_timeout_s
-    log_path = folder / LOG_NAME
     if config.runtime.name == "simulation":
-        return SimulationSuperLink(clients=clients, log_path=log_path, start_timeout_s=patience_s)
+        return SimulationSuperLink(
+            clients=clients, log_path=folder.log_file, start_timeout_s=patience_s
+        )
     if config.runtime.connection is not None:
         return Connection(config.runtime.connection)
     return Federation(
         nodes=clients,
         secure=config.runtime.secure,
         revive=config.federation.on_loss == "wait",
-        log_path=log_path,
+        log_path=folder.log_file,
         start_timeout_s=patience_s,
     )
 
 
-def _failure(folder: Path, status: Status, log_tail: str) -> FlowerError:
+def _failure(folder: RunFolder, status: Status, log_tail: str) -> FlowerError:
     """What went wrong in one sentence, and the log where the run itself could not say."""
-    progress = read_progress(folder)
-    if progress is not None and progress["state"] == "failed":
-        message = str(progress["message"])
+    message = folder.failure
+    if message is not None:
         kind = ProcessLostError if message.startswith(LOSSES) else FlowerError
-        return kind(f"The run failed: {message} (log: {folder / LOG_NAME})")
+        return kind(f"The run failed: {message} (log: {folder.log_file})")
     message = f"The run ended as {status.state}. {status.details}".strip()
     return (FlowerError if status.details.startswith("ServerApp failed") else ProcessLostError)(
         message, log_tail

@@ -17,20 +17,20 @@ from experiments.console.display import Display, show_summary
 from experiments.console.mishaps import in_words
 from experiments.flower import FlowerError
 from experiments.runtimes import local, on_flower
-from experiments.runtimes.folders import clear, prepare_run, run_lock
+from experiments.runtimes.folders import prepare_run, run_lock
 from experiments.runtimes.stopping import StopSignals
 from lockstep import LinkError
 from storage.checkpoint_files import checkpoints
-from storage.checkpoint_layout import STATE, server_folder
+from storage.checkpoint_layout import server_folder
 from training import resume
 from training.checkpoint import Checkpoint
-from training.session import STOP_FILE
+from training.run_folder import RunFolder
 
 INTERRUPTED = 130
 ERRORS = (ConfigError, PluginError, FlowerError, LinkError, OSError)
 """What ends a run with a sentence: a mistake, or a machine, disk or network that fails."""
 
-Runtime = Callable[[Config, Path, Checkpoint | None], dict[str, Any]]
+Runtime = Callable[[Config, RunFolder, Checkpoint | None], dict[str, Any]]
 RUNTIMES: dict[str, Runtime] = {
     "local": local.train,
     "simulation": on_flower.train,
@@ -61,11 +61,11 @@ def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> in
         0, or what ``StopSignals.status`` says if a signal ended the run early.
     """
     console = Console()
-    config, folder = _shown(config, folder, console)
-    with run_lock(folder):
+    config, own = _shown(config, folder, console)
+    with run_lock(own.path):
         if resumed is not None:
-            clear(folder)
-        return _train_shown(config, folder, resumed, console)
+            own.clear()
+        return _train_shown(config, own, resumed, console)
 
 
 def train_missing(config: Config) -> int:
@@ -78,8 +78,8 @@ def train_missing(config: Config) -> int:
         ConfigError: the folder holds another run, or another process goes on in it.
     """
     console = Console()
-    config, folder = _shown(config, Path(str(config.run.dir)), console)
-    with run_lock(folder):
+    config, folder = _shown(config, RunFolder.of(config).path, console)
+    with run_lock(folder.path):
         config, found = _ready(config, folder)
         if isinstance(found, dict):
             console.print("done before", highlight=False)
@@ -96,42 +96,44 @@ def train_quietly(config: Config) -> dict[str, Any]:
     Raises:
         ConfigError: the folder holds another run, or another process goes on in it.
     """
-    config, folder = prepare_run(config, Path(str(config.run.dir)))
-    with run_lock(folder):
+    config, folder = prepare_run(config, RunFolder.of(config).path)
+    with run_lock(folder.path):
         config, found = _ready(config, folder)
         if isinstance(found, dict):
             return found
         return RUNTIMES[config.runtime.name](config, folder, found)
 
 
-def _ready(config: Config, folder: Path) -> tuple[Config, dict[str, Any] | Checkpoint | None]:
+def _ready(config: Config, folder: RunFolder) -> tuple[Config, dict[str, Any] | Checkpoint | None]:
     """What a run has come to, or where it goes on, its folder made ready for that.
 
     Returns:
         The configuration, with the identity that the run has had so far, and what
-        ``resume.standing`` says.
+        ``resume.find_run_state`` says.
     """
     found = resume.find_run_state(config, folder)
     if not isinstance(found, dict):
-        clear(folder, whole=found is None)
+        folder.clear(whole=found is None)
     if isinstance(found, Checkpoint):
         identity = found.meta.get("run")
         config = dataclasses.replace(config, run=dataclasses.replace(config.run, id=identity))
     return config, found
 
 
-def _train_shown(config: Config, folder: Path, resumed: Checkpoint | None, console: Console) -> int:
+def _train_shown(
+    config: Config, folder: RunFolder, resumed: Checkpoint | None, console: Console
+) -> int:
     """Trains a run whose folder is held, with progress and signals."""
     if resumed is not None:
         for reason in resumed.passed_over:
             console.print(f"passed over: {reason}", highlight=False, soft_wrap=True)
         console.print(f"going on from window {resumed.window}", highlight=False)
-    with StopSignals([folder / STOP_FILE], console) as stop, Display(folder, console):
+    with StopSignals([folder.stop_file], console) as stop, Display(folder, console):
         try:
             summary = RUNTIMES[config.runtime.name](config, folder, resumed)
         except ERRORS as error:
-            if checkpoints(server_folder(folder / STATE)):
-                error.add_note(f"To go on: {resume.how(folder)}")
+            if checkpoints(server_folder(folder.state)):
+                error.add_note(f"To go on: {resume.how(folder.path)}")
             raise
     if summary:
         show_summary(console, summary, folder)
@@ -144,9 +146,9 @@ def _train_shown(config: Config, folder: Path, resumed: Checkpoint | None, conso
     return stop.status
 
 
-def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, Path]:
+def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, RunFolder]:
     """See ``prepare_run``; says where the run is."""
-    config, folder = prepare_run(config, folder)
-    console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+    config, own = prepare_run(config, folder)
+    console.print(f"run folder: {own}", highlight=False, soft_wrap=True)
     notices.show(config, console)
-    return config, folder
+    return config, own

@@ -16,7 +16,6 @@ OF_LINUX = {
     "agent/threads.py",
     "benchmarks/memory.py",
     "conf/fingerprint.py",
-    "experiments/flower/processes.py",
 }
 """Read below /proc alone."""
 

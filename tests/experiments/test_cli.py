@@ -15,7 +15,7 @@ import pytest
 from conf import compose, from_yaml
 from experiments.cli import main
 from training.recording.history import MEASURES
-from training.recording.reading import read_config
+from training.run_folder import RunFolder
 
 Refused = Callable[..., str]
 
@@ -127,7 +127,7 @@ def test_krum_needs_three_robots(refused: Refused) -> None:
 def test_more_clients_than_flowers_engine_runs_are_refused(
     refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("training.preflight.os.cpu_count", lambda: 1)
+    monkeypatch.setattr("training.engine_limits.os.cpu_count", lambda: 1)
     said = refused("train", "env.robots=6", "federation.clients=6")
     assert_one_sentence(said)
     assert "federation.clients=6" in said
@@ -234,10 +234,10 @@ def test_evaluate_refuses_a_configuration_that_is_no_text(refused: Refused, copi
 
 
 def test_evaluate_reads_a_configuration_that_another_editor_saved(copied: Path) -> None:
-    config = read_config(copied)
+    config = RunFolder(copied).read_config()
     text = (copied / "config.yaml").read_text(encoding="utf-8")
     (copied / "config.yaml").write_bytes(text.replace("\n", "\r\n").encode("utf-8-sig"))
-    assert read_config(copied) == config
+    assert RunFolder(copied).read_config() == config
 
 
 def test_evaluate_says_that_a_configuration_is_in_utf_16(refused: Refused, copied: Path) -> None:

@@ -24,6 +24,7 @@ from experiments.console.mishaps import in_words
 from experiments.console.steady import Steady, steady_output
 from experiments.flower import environment
 from experiments.runtimes import runner
+from training.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 120.0
@@ -98,7 +99,7 @@ def test_no_error_of_the_system_is_said_by_its_number(
         monkeypatch.setitem(runner.RUNTIMES, "local", fail)
         assert main(["train", *SMALL]) == 1
     else:
-        monkeypatch.setattr("experiments.commands.status.read_progress", fail)
+        monkeypatch.setattr(RunFolder, "read_progress", fail)
         assert main(["status", "run"]) == 1
     said = capsys.readouterr().err
     assert said.startswith("risfleet: ")
@@ -188,7 +189,7 @@ def test_without_any_output_there_is_none(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_display_that_fails_says_so_once_and_the_run_goes_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(display, "read_progress", lambda folder: {"state": 3, "episode": None})
+    monkeypatch.setattr(RunFolder, "read_progress", lambda self: {"state": 3, "episode": None})
     monkeypatch.setattr(display, "POLL_S", 0.01)
     assert main(["train", *SMALL]) == 0
     said = capsys.readouterr().err
@@ -203,7 +204,7 @@ def test_a_display_that_cannot_start_is_left_out(
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", refuse)
-    with display.Display(Path("run"), Console()):
+    with display.Display(RunFolder(Path("run")), Console()):
         pass
     assert "no progress is shown" in capsys.readouterr().err
 

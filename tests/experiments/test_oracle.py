@@ -16,14 +16,14 @@ from env.world import World
 from experiments.analysis import optimality_gap
 from experiments.cli import main
 from training.evaluation import Evaluator, Served
-from training.recording.reading import read_weights
+from training.run_folder import RunFolder
 
 SMALL = ("env.robots=2", "env.room.cell_m=2.0")
 
 
 def test_a_policys_paths_stay_when_phases_and_powers_are_replaced(tiny_run: Path) -> None:
     config = from_yaml((tiny_run / "config.yaml").read_text())
-    robots, ap = read_weights(tiny_run, config)
+    robots, ap = RunFolder(tiny_run).read_weights(config)
     evaluator = Evaluator(config, episodes=3)
 
     def best(world: World, served: Served) -> Served:
@@ -39,7 +39,7 @@ def test_a_policys_paths_stay_when_phases_and_powers_are_replaced(tiny_run: Path
 
 def test_a_service_that_replaces_nothing_changes_nothing(tiny_run: Path) -> None:
     config = from_yaml((tiny_run / "config.yaml").read_text())
-    robots, ap = read_weights(tiny_run, config)
+    robots, ap = RunFolder(tiny_run).read_weights(config)
     evaluator = Evaluator(config, episodes=3)
     plain = evaluator.play(robots, ap, (0.0, 0.1))
     same = evaluator.play(robots, ap, (0.0, 0.1), serve=lambda _, served: served)
@@ -63,7 +63,7 @@ def test_oracles_are_ordered_as_their_freedom_is() -> None:
 def test_the_parts_of_the_gap_add_up_and_the_first_two_are_no_loss(tiny_run: Path) -> None:
     config = from_yaml((tiny_run / "config.yaml").read_text())
     evaluator = Evaluator(config, episodes=4)
-    found = optimality_gap.policy_measures(evaluator, *read_weights(tiny_run, config))
+    found = optimality_gap.policy_measures(evaluator, *RunFolder(tiny_run).read_weights(config))
     assert (found[optimality_gap.POLICY_PHASE].ee >= found[optimality_gap.POLICY].ee - 1e-12).all()
     assert (
         found[optimality_gap.POLICY_POWERS].ee >= found[optimality_gap.POLICY_PHASE].ee - 1e-12

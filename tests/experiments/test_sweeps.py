@@ -16,7 +16,7 @@ from conf import Config, from_yaml
 from experiments.cli import main
 from experiments.flower import FlowerError
 from experiments.runtimes import local, runner
-from training.session import STOP_FILE
+from training.run_folder import RunFolder
 
 JOBLIB = "hydra/launcher=joblib"
 
@@ -91,7 +91,7 @@ def test_a_sweep_leaves_a_folder_in_use_as_it_is(
 def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail_once(config: Config, folder: Path, resumed: object) -> dict[str, Any]:
+    def fail_once(config: Config, folder: RunFolder, resumed: object) -> dict[str, Any]:
         if config.seed == 0:
             raise FlowerError("Port 1 is in use.")
         return local.train(config, folder)
@@ -103,7 +103,7 @@ def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(
 
 
 def test_ctrl_c_ends_a_whole_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(config: Config, folder: Path, resumed: object) -> dict[str, Any]:
+    def interrupted(config: Config, folder: RunFolder, resumed: object) -> dict[str, Any]:
         signal.raise_signal(signal.SIGINT)
         return local.train(config, folder)
 
@@ -152,8 +152,8 @@ def test_the_same_sweep_again_trains_what_is_missing_alone(
 def test_a_run_of_a_sweep_that_was_stopped_goes_on_to_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def stopped(config: Config, folder: Path, *rest: Any) -> dict[str, Any]:
-        (folder / STOP_FILE).touch()
+    def stopped(config: Config, folder: RunFolder, *rest: Any) -> dict[str, Any]:
+        folder.stop_file.touch()
         return local.train(config, folder, *rest)
 
     small = [*SMALL, "train.max_ticks=40", "state.every=1", "seed=0,1"]
@@ -231,4 +231,4 @@ def test_a_signal_ends_runs_on_every_core_with_what_they_have_learned(
     assert [summary(folder)["stopped_early"] for folder in folders] == [True, True]
     states = [json.loads((folder / "progress.json").read_text())["state"] for folder in folders]
     assert states == ["done", "done"]
-    assert not list(tmp_path.rglob(STOP_FILE))
+    assert not list(tmp_path.rglob("stop"))

@@ -18,7 +18,6 @@ from experiments.flower import FlowerError
 from experiments.runtimes import runner
 from experiments.runtimes.folders import dated
 from storage.checkpoint_files import digest
-from training.session import STOP_FILE
 
 
 @pytest.fixture(autouse=True)
@@ -100,7 +99,7 @@ def test_a_signal_ends_a_run_with_everything_that_it_has_learned(
     assert found["stopped_early"]
     assert found["ticks"] % 10 == 0
     assert digest(load_file(folder / "weights.safetensors")["robots"]) == found["digest"]["robots"]
-    assert not (folder / STOP_FILE).exists()
+    assert not (folder / "stop").exists()
 
 
 def test_a_second_ctrl_c_ends_at_once_and_leaves_nothing_running(
@@ -111,11 +110,11 @@ def test_a_second_ctrl_c_ends_at_once_and_leaves_nothing_running(
     metrics = folder / "metrics.csv"
     wait_for(process, lambda: metrics.exists() and metrics.stat().st_size > 300)
     process.send_signal(signal.SIGINT)
-    wait_for(process, (folder / STOP_FILE).exists)
+    wait_for(process, (folder / "stop").exists)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert "Traceback" not in errors
-    assert not (folder / STOP_FILE).exists()
+    assert not (folder / "stop").exists()
     assert not (folder / "summary.json").exists()
     assert json.loads((folder / "progress.json").read_text())["state"] == "failed"

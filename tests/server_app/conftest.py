@@ -21,6 +21,7 @@ from server_app import clients as clients_module
 from server_app.clients import Clients
 from server_app.recovery import RecoveringTrainer
 from training.checkpoint import latest
+from training.run_folder import RunFolder
 
 Tiny = Callable[..., Config]
 PATIENCE_S = 30.0
@@ -67,7 +68,7 @@ def run(hurried_flower: None) -> Iterator[Callable[..., dict[str, Any]]]:
         try:
             clients = Clients(config, cast(Grid, grid), link, sorted(grid.nodes)[:3])
             resumed = latest(folder / "state", 0) if resumes else None
-            RecoveringTrainer(config, folder, link, clients).train(resumed)
+            RecoveringTrainer(config, RunFolder(folder), link, clients).train(resumed)
         finally:
             link.close("the run has ended")
         summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
@@ -84,7 +85,7 @@ def digests(tmp_path: Path) -> Callable[[Config], dict[str, str]]:
     """The digests of a run that loses nobody, in one process."""
 
     def make(config: Config) -> dict[str, str]:
-        summary = local.train(config, tmp_path / "whole")
+        summary = local.train(config, RunFolder(tmp_path / "whole"))
         digest: dict[str, str] = summary["digest"]
         return digest
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import logging
 import math
@@ -33,13 +34,15 @@ from omegaconf import OmegaConf
 
 import conf
 from agent.networks.limits import WEIGHT_LIMIT, magnitude
-from conf import StrategyConfig
-from env.validate import value_problems
+from conf import Config, StrategyConfig
+from conf.strategy_checks import KEYS
+from env.validate import Problem, value_problems
 from training.aggregation.aggregator import Aggregator, Scope
 from training.aggregation.flower_round import WeightRows
-from training.aggregation.strategies import STRATEGIES, build_aggregator, problems
+from training.aggregation.strategies import STRATEGIES, build_aggregator
 
 P = 203
+
 YAML_FILES = sorted((Path(conf.__file__).parent / "strategy").glob("*.yaml"))
 
 RULES: dict[str, tuple[Callable[[], FedAvg], Scope]] = {
@@ -54,6 +57,12 @@ RULES: dict[str, tuple[Callable[[], FedAvg], Scope]] = {
     "fedadagrad": (FedAdagrad, Scope.ONLINE),
     "fedyogi": (FedYogi, Scope.ONLINE),
 }
+
+
+def problems(config: StrategyConfig, robots: int) -> list[Problem]:
+    """What is wrong with a run of this strategy and so many robots."""
+    env = dataclasses.replace(Config().env, robots=robots)
+    return conf.problems(dataclasses.replace(Config(), env=env, strategy=config))
 
 
 def aggregator(rule: str, robots: int) -> Aggregator:
@@ -420,6 +429,7 @@ def test_fedprox_tells_the_clients_its_mu_before_the_first_window() -> None:
 
 def test_each_strategy_has_a_file() -> None:
     assert {path.stem for path in YAML_FILES} == set(STRATEGIES)
+    assert list(STRATEGIES) == list(KEYS)
 
 
 @pytest.mark.parametrize("path", YAML_FILES, ids=lambda path: path.stem)

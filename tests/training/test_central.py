@@ -24,6 +24,7 @@ from training.controllers.central import BranchingAgent, CentralAgent, JointAgen
 from training.controllers.policies import Exploration, PolicyWeights, frozen_policy
 from training.coordinator import Coordinator
 from training.evaluation import Evaluator
+from training.run_folder import RunFolder
 
 Tiny = Callable[..., Config]
 KINDS: dict[str, type[CentralAgent]] = {"centralized": JointAgent, "branching": BranchingAgent}
@@ -169,13 +170,13 @@ def test_a_frozen_policy_decides_as_the_agent_does(config: Config) -> None:
 
 
 def test_a_run_leaves_what_every_run_leaves(config: Config, tmp_path: Path) -> None:
-    summary = local.train(config, tmp_path / "run")
+    summary = local.train(config, RunFolder(tmp_path / "run"))
     arrays = load_file(tmp_path / "run" / "weights.safetensors")
     assert {name: array.shape for name, array in arrays.items()} == weight_shapes(config)
     assert arrays["robots"].shape == (2, 2, 0)
     assert summary["scheme"]["agents"] == config.scheme.agents
     assert summary["ticks"] == 120
-    again = local.train(config, tmp_path / "again")
+    again = local.train(config, RunFolder(tmp_path / "again"))
     assert again["digest"] == summary["digest"]
     assert again["evaluation"] == summary["evaluation"]
 

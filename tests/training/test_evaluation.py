@@ -15,6 +15,7 @@ from conf import Config
 from env.episode import EpisodeMeasures
 from experiments.runtimes import local
 from training.evaluation import Evaluator, trajectories
+from training.run_folder import RunFolder
 
 Tiny = Callable[..., Config]
 Weights = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -128,5 +129,5 @@ def test_evaluating_changes_nothing_in_the_training(
     tiny: Tiny, tmp_path: Path, play: Callable[..., Any], every: int
 ) -> None:
     config = tiny({"evaluation.every": every, "evaluation.episodes": 3})
-    summary = local.train(config, tmp_path)
+    summary = local.train(config, RunFolder(tmp_path))
     assert (summary["digest"]["robots"], summary["digest"]["ap"]) == play(config).digests

@@ -17,6 +17,7 @@ from env.seeding import Stream, stream
 from env.world import World
 from experiments.runtimes import local
 from training.controllers.phase_rules import PhaseRule, fixed_phase
+from training.run_folder import RunFolder
 
 Tiny = Callable[..., Config]
 
@@ -81,10 +82,13 @@ def test_a_rule_has_no_weights_and_leaves_the_robots_to_learn(
     tiny: Tiny, rule: str, tmp_path: Path
 ) -> None:
     config = tiny({"scheme.phase": rule})
-    summary = local.train(config, tmp_path / "run")
+    summary = local.train(config, RunFolder(tmp_path / "run"))
     assert summary["scheme"]["phase"] == rule
-    assert summary["digest"] == local.train(config, tmp_path / "again")["digest"]
-    assert summary["digest"]["robots"] != local.train(tiny(), tmp_path / "b")["digest"]["robots"]
+    assert summary["digest"] == local.train(config, RunFolder(tmp_path / "again"))["digest"]
+    assert (
+        summary["digest"]["robots"]
+        != local.train(tiny(), RunFolder(tmp_path / "b"))["digest"]["robots"]
+    )
     arrays = load_file(tmp_path / "run" / "weights.safetensors")
     assert arrays["ap"].shape == (2, 0)
     assert np.abs(np.diff(arrays["robots"][0], axis=0)).max() > 0

@@ -16,16 +16,15 @@ from safetensors.numpy import load_file
 
 from conf import Config, from_yaml
 from env.world import World
-from experiments.console.display import read_progress
 from experiments.runtimes import local
 from storage.atomic import write_atomically
 from storage.checkpoint_files import digest
-from training.recording import recorder
-from training.recording.files import to_json
+from storage.strict_json import to_json
 from training.recording.history import EVALUATIONS, MEASURES, METRICS, History
 from training.recording.progress import Progress
 from training.recording.recorder import Recorder
-from training.session import STOP_FILE, TrainingRun
+from training.run_folder import RunFolder
+from training.session import TrainingRun
 
 Tiny = Callable[..., Config]
 KEYS = ("ticks", "windows", "episodes", "wall_s", "steps_per_s", "flower_share", "seed", "cpu_s")
@@ -46,7 +45,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def trained(tiny: Tiny, folder: Path, changes: dict[str, Any] | None = None) -> dict[str, Any]:
-    return local.train(tiny({"run.dir": str(folder), **(changes or {})}), folder)
+    return local.train(tiny({"run.dir": str(folder), **(changes or {})}), RunFolder(folder))
 
 
 # --- The folder -----------------------------------------------------------------------------------
@@ -220,7 +219,7 @@ def spied_states(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def spy(self: Recorder, state: str, progress: Progress, message: str = "") -> None:
         report(self, state, progress, message)
-        status = read_progress(self.folder)
+        status = self.folder.read_progress()
         assert status is not None
         seen.append(status["state"])
 
@@ -267,15 +266,13 @@ def test_a_run_whose_progress_cannot_be_written_goes_on_and_says_so_once(
 ) -> None:
     expected = trained(tiny, tmp_path / "undisturbed")["digest"]
     monkeypatch.setattr("training.recording.recorder.PROGRESS_PERIOD_S", 0.0)
-    write, refused = recorder.write_atomically, []
+    refused = []
 
-    def refuse(path: Path, text: str, **options: bool) -> None:
-        if path.name == "progress.json":
-            refused.append(path)
-            raise OSError(28, "No space left on device", str(path))
-        write(path, text, **options)
+    def refuse(folder: RunFolder, status: object) -> None:
+        refused.append(status)
+        raise OSError(28, "No space left on device", str(folder.progress_file))
 
-    monkeypatch.setattr(recorder, "write_atomically", refuse)
+    monkeypatch.setattr(RunFolder, "write_progress", refuse)
     assert trained(tiny, tmp_path / "run")["digest"] == expected
     assert len(refused) > 2
     (said,) = caplog.messages
@@ -327,7 +324,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing_half_written(
     def refuse(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("training.recording.files.os.fsync", refuse)
+    monkeypatch.setattr("training.recording.csv_log.os.fsync", refuse)
     with pytest.raises(OSError, match=r"No space left on device.*config\.yaml"):
         write_atomically(tmp_path / "config.yaml", "text")
     assert list(tmp_path.iterdir()) == []
@@ -337,7 +334,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing_half_written(
 
 
 def test_a_stop_file_ends_a_run_at_the_next_window(tiny: Tiny, tmp_path: Path) -> None:
-    (tmp_path / STOP_FILE).touch()
+    (tmp_path / "stop").touch()
     summary = trained(tiny, tmp_path, {"train.max_ticks": 1000})
     assert (summary["ticks"], summary["windows"], summary["stopped_early"]) == (10, 1, True)
 
@@ -345,7 +342,7 @@ def test_a_stop_file_ends_a_run_at_the_next_window(tiny: Tiny, tmp_path: Path) -
 def test_a_session_begins_with_one_network_for_all_robots_and_both_rows(
     tiny: Tiny, tmp_path: Path
 ) -> None:
-    session = TrainingRun(tiny(), tmp_path)
+    session = TrainingRun(tiny(), RunFolder(tmp_path))
     first = session.initial_weights()
     session.recorder.close()
     assert np.array_equal(first[0], first[1])

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from storage.checkpoint_files import checkpoints
-from storage.checkpoint_layout import STATE, robot_windows, server_folder
+from storage.checkpoint_layout import robot_windows, server_folder
 from tools.chaos.tasks import WINDOWS_PER_CHECKPOINT, Runtime
+from training.run_folder import RunFolder
 
 STARTING = "start-up"
 JOINING = "first windows"
@@ -43,7 +44,7 @@ class Watched:
 
     def __init__(self, folder: Path, robots: int, since: float) -> None:
         self._folder, self._robots, self._since = folder, robots, since
-        self.state = folder / STATE
+        self.state = RunFolder(folder).state
 
     def reached(self, moment: KillPoint) -> bool:
         """Whether the folder shows that the moment is there, its delay aside."""

@@ -9,9 +9,8 @@ import signal
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from experiments.flower.processes import Process, command, identify, members, table
+from experiments.flower.processes import Process, command, environment, identify, members, table
 
 MARK = "RISFLEET_CHAOS"
 """An environment variable that every process of a run under test inherits from the first."""
@@ -55,7 +54,7 @@ class ProcessTracker:
 
     def __init__(self, launcher: int, mark: str) -> None:
         """Watch a process that was just started with ``MARK=mark`` in its environment."""
-        self._mark = f"{MARK}={mark}".encode()
+        self._mark = mark
         self._launcher = identify(launcher)
         self._known: set[Process] = {self._launcher} if self._launcher is not None else set()
 
@@ -106,12 +105,7 @@ class ProcessTracker:
             time.sleep(_POLL_S)
 
     def _is_marked(self, row: Process) -> bool:
-        if row.pid == os.getpid():
-            return False
-        try:
-            return self._mark in Path(f"/proc/{row.pid}/environ").read_bytes().split(b"\0")
-        except OSError:
-            return False
+        return row.pid != os.getpid() and environment(row.pid).get(MARK) == self._mark
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class CommandedFleet:
 
 
 class CentralAgent(NetworkAgent):
-    """A ``PhaseAgent`` that commands the robots, too.
+    """A ``RisController`` that commands the robots, too.
 
     Args:
         config: the run's configuration.
@@ -85,10 +85,10 @@ class CentralAgent(NetworkAgent):
         outcome: StepResult,
         next_observation: NDArray[np.float32],
     ) -> None:
-        """See ``PhaseAgent.learn``."""
+        """See ``RisController.learn``."""
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
-        """See ``PhaseAgent.act``: decides for the robots, too."""
+        """See ``RisController.act``: decides for the robots, too."""
         phase, orders = self._decide(state, epsilon_at(self._epsilon, tick))
         self.fleet.orders = np.where(self.fleet.driving, orders, NO_ACTION).astype(np.int32)
         return np.array([phase])
@@ -120,7 +120,7 @@ class JointAgent(CentralAgent):
         outcome: StepResult,
         next_observation: NDArray[np.float32],
     ) -> None:
-        """See ``PhaseAgent.learn``."""
+        """See ``RisController.learn``."""
         reward = joint_reward(outcome, self._config.scheme.global_share)
         always = np.ones(1, dtype=bool)
         self.agent.learn(state, self._joint, reward, next_observation, outcome.terminated, always)
@@ -152,7 +152,7 @@ class BranchingAgent(CentralAgent):
         outcome: StepResult,
         next_observation: NDArray[np.float32],
     ) -> None:
-        """See ``PhaseAgent.learn``."""
+        """See ``RisController.learn``."""
         rewards = np.concatenate([outcome.global_reward, outcome.local_reward[0]])
         if self.agent.heads.shared:
             rewards[:] = joint_reward(outcome, self._config.scheme.global_share)

@@ -61,7 +61,7 @@ class PhaseRule:
         self._fixed = np.array([fixed])
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
-        """See ``PhaseAgent.act``."""
+        """See ``RisController.act``."""
         if self._rule == "random":
             return self._generator.integers(self._actions, size=1)
         return self._fixed
@@ -69,7 +69,7 @@ class PhaseRule:
     def finalize_phase(
         self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """See ``PhaseAgent.finalize_phase``: the oracle's is the best for the robots' picks."""
+        """See ``RisController.finalize_phase``: the oracle's is the best for the robots' picks."""
         return per_slot.best_phase(world, level) if self._rule == "oracle" else phase
 
     def learn(
@@ -79,16 +79,16 @@ class PhaseRule:
         outcome: StepResult,
         next_observation: NDArray[np.float32],
     ) -> None:
-        """See ``PhaseAgent.learn``."""
+        """See ``RisController.learn``."""
 
     def weights(self) -> NDArray[np.float32]:
-        """See ``PhaseAgent.weights``: none."""
+        """See ``RisController.weights``: none."""
         return np.zeros((2, 0), np.float32)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """See ``PhaseAgent.state``."""
+        """See ``RisController.state``."""
         return {"generator": generator_state(self._generator)}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """See ``PhaseAgent.restore``."""
+        """See ``RisController.restore``."""
         restore_generator(self._generator, state["generator"])

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent import epsilon_at
-from conf import Config, to_yaml
+from conf import Config
 from env.episode import EpisodeMeasures
-from storage.atomic import write_atomically
 from training.evaluation import Evaluator
-from training.recording.files import CsvLog
+from training.recording.csv_log import CsvLog
 from training.recording.history import EVALUATIONS, METRICS, History, evaluate, mean
 from training.recording.progress import Progress
+from training.run_folder import RunFolder
 
 PROGRESS_PERIOD_S = 0.5
 
@@ -49,7 +47,7 @@ class Recorder:
     def __init__(
         self,
         config: Config,
-        folder: Path,
+        folder: RunFolder,
         evaluator: Evaluator,
         cpu_s: Callable[[], float],
         resumed: Mapping[str, Any] | None = None,
@@ -65,14 +63,12 @@ class Recorder:
         self.round: int | None = None
         self.running = False
         self._is_shown = True
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / "config.yaml", to_yaml(config))
+        folder.path.mkdir(parents=True, exist_ok=True)
+        folder.write_config(config)
         marks = resumed or {"episodes": 0, "evaluations": 0, "training_s": 0.0, "evaluation_s": 0.0}
         self.evaluation_s, self._trained_s = marks["evaluation_s"], marks["training_s"]
-        self._metrics = CsvLog(folder / "metrics.csv", METRICS, marks["episodes"])
-        self._evaluations = CsvLog(
-            folder / "evaluations.csv", EVALUATIONS, 2 * marks["evaluations"]
-        )
+        self._metrics = CsvLog(folder.metrics_file, METRICS, marks["episodes"])
+        self._evaluations = CsvLog(folder.evaluations_file, EVALUATIONS, 2 * marks["evaluations"])
         rows = self._evaluations.kept
         self.history = History(self._metrics.kept, rows[::2], rows[1::2])
         undone = max([-1, *(int(row["tick"]) for row in (*self.history.episodes, *rows))]) + 1
@@ -170,11 +166,12 @@ class Recorder:
             "clients": self.clients(),
         }
         try:
-            write_atomically(self.folder / "progress.json", json.dumps(status), durable=False)
+            self.folder.write_progress(status)
             self._is_shown = True
         except OSError as error:
             if self._is_shown:
-                log.warning("progress.json is not written: %s", error.strerror or error)
+                name, why = self.folder.progress_file.name, error.strerror or error
+                log.warning("%s is not written: %s", name, why)
             self._is_shown = False
 
     def close(self) -> None:
@@ -202,7 +199,7 @@ class Recorder:
         _warn_of_events(error)
 
 
-def _event_writer(folder: Path, first: int) -> Any:
+def _event_writer(folder: RunFolder, first: int) -> Any:
     """Writes events; those of an earlier attempt from the tick ``first`` on no longer count.
 
     None where that cannot be done.
@@ -210,7 +207,7 @@ def _event_writer(folder: Path, first: int) -> Any:
     try:
         from torch.utils.tensorboard import SummaryWriter  # slow: only where it is wanted
 
-        return SummaryWriter(str(folder / "tensorboard"), purge_step=first or None)
+        return SummaryWriter(str(folder.tensorboard), purge_step=first or None)
     except Exception as error:
         _warn_of_events(error)
         return None

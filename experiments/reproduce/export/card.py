@@ -43,8 +43,8 @@ configuration.
 ## Limits
 
 - They were trained for one floor plan, one radio map and the destinations of their seed, which
-  `config.yaml` names. Held-out means other starts, nothing more. For anything else, train anew:
-  that takes seconds to minutes.
+  `{files.config_file.name}` names. Held-out means other starts, nothing more. For anything else,
+  train anew: that takes seconds to minutes.
 - A greedy policy may step back and forth between two cells for ever; a few random moves free it.
 - The world is a model ([assumptions](../../docs/assumptions.md)): channels are simulated, and no
   real robot was driven with these weights, nor is one meant to be.
@@ -53,9 +53,9 @@ configuration.
 
 | file | holds |
 |---|---|
-| `weights.safetensors` | float32: `robots`, shape (K, 2, P), and `ap`, shape (2, P_AP) |
-| `config.yaml` | the whole configuration of the run |
-| `summary.json` | versions, digests of the weights, what the run came to |
+| `{files.weights_file.name}` | float32: `robots`, shape (K, 2, P), and `ap`, shape (2, P_AP) |
+| `{files.config_file.name}` | the whole configuration of the run |
+| `{files.summary_file.name}` | versions, digests of the weights, what the run came to |
 
 Of two networks the first is the online one, which plays, and the second the target. A network is a
 flat row: of each layer the weights, inputs by outputs, row by row, and the bias as one more row;
@@ -94,6 +94,7 @@ def card(players: Sequence[Player]) -> str:
         players: at least one.
     """
     return TEXT.format(
+        files=players[0].run.files,
         first=players[0].name,
         what="\n".join(map(_what, players)),
         how_well="\n".join(map(_how_well, players)),
@@ -103,7 +104,8 @@ def card(players: Sequence[Player]) -> str:
 
 def _what(player: Player) -> str:
     config = player.run.config
-    how = f"`{' '.join(player.overrides)}`" if player.overrides else "its `config.yaml`"
+    own = player.run.files.config_file.name
+    how = f"`{' '.join(player.overrides)}`" if player.overrides else f"its `{own}`"
     cells = player.name, config.env.robots, config.seed, player.run.summary["episodes"], how
     return f"| {' | '.join(map(str, cells))} |"
 

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from conf import ConfigError, to_yaml
+from conf import ConfigError
 from conf.schema import RunConfig
 from conf.user_paths import user_path
 from experiments.console.mishaps import in_words
@@ -28,6 +28,7 @@ from experiments.reproduce.results.runs import Run
 from experiments.reproduce.targets.fig3 import FEDERATED
 from experiments.reproduce.targets.plan import TARGETS
 from storage.atomic import write_atomically
+from training.run_folder import RunFolder
 
 WEIGHTS = {f"k{robots}": FEDERATED.format(robots) for robots in (2, 3, 4)}
 """Folders of weights, and the cells of Fig. 3 whose first seed they are of."""
@@ -142,12 +143,13 @@ def _players(
 def _weights(run: Run, folder: Path) -> list[Path]:
     """What ``risfleet evaluate`` needs of a run, and what the run came to."""
     folder.mkdir(parents=True, exist_ok=True)
+    kept = RunFolder(folder)
     nowhere = dataclasses.replace(run.config, run=RunConfig())
     runtime = dataclasses.replace(nowhere.runtime, connection=None)
     summary = {key: run.summary[key] for key in (*KEPT, *KEPT_TOO)}
-    write_atomically(folder / "config.yaml", to_yaml(dataclasses.replace(nowhere, runtime=runtime)))
-    write_atomically(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
-    shutil.copyfile(run.folder / "weights.safetensors", folder / "weights.safetensors")
+    kept.write_config(dataclasses.replace(nowhere, runtime=runtime))
+    kept.write_summary(summary)
+    shutil.copyfile(run.files.weights_file, kept.weights_file)
     return sorted(folder.iterdir())
 
 

@@ -21,6 +21,7 @@ from experiments.reproduce.targets.plan import COMMON
 from experiments.runtimes import local
 from storage.atomic import write_atomically
 from training.preflight import checked_training
+from training.run_folder import RunFolder
 
 FILE = "check.csv"
 TICKS = 1000
@@ -103,5 +104,5 @@ def rerun(kept: RegressionRun, folder: Path) -> Run:
     short = (f"train.max_ticks={TICKS}", "evaluation.episodes=1")
     own = (f"seed={kept.seed}", f"run.dir={folder}")
     config = checked_training([*COMMON, *kept.overrides, *short, *own])
-    local.train(config, folder)
+    local.train(config, RunFolder(folder))
     return Run(folder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config
-from training.recording.reading import read_config, read_weights
+from training.run_folder import RunFolder
 
 Columns = dict[str, NDArray[np.float64]]
 
@@ -29,18 +28,20 @@ class Run:
 
     folder: Path
 
+    @property
+    def files(self) -> RunFolder:
+        """The files in its folder."""
+        return RunFolder(self.folder)
+
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """What ``summary.json`` holds."""
-        found: dict[str, Any] = json.loads(
-            (self.folder / "summary.json").read_text(encoding="utf-8-sig")
-        )
-        return found
+        """What the run came to, as in its summary."""
+        return self.files.read_summary()
 
     @cached_property
     def config(self) -> Config:
         """The run's configuration."""
-        return read_config(self.folder)
+        return self.files.read_config()
 
     @property
     def seed(self) -> int:
@@ -49,15 +50,15 @@ class Run:
 
     def metrics(self) -> Columns:
         """The columns of ``metrics.csv``, each of shape (episodes,)."""
-        return _columns(self.folder / "metrics.csv")
+        return _columns(self.files.metrics_file)
 
     def evaluations(self) -> Columns:
         """The columns of ``evaluations.csv`` with exploration, each of shape (evaluations,)."""
-        return _columns(self.folder / "evaluations.csv", 0, 2)
+        return _columns(self.files.evaluations_file, 0, 2)
 
     def greedy(self) -> Columns:
         """The columns of ``evaluations.csv`` without exploration, each of shape (evaluations,)."""
-        return _columns(self.folder / "evaluations.csv", 1, 2)
+        return _columns(self.files.evaluations_file, 1, 2)
 
     def weights(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Online weights: robots (K, P), access point (P_AP,).
@@ -65,7 +66,7 @@ class Run:
         Raises:
             ConfigError: they are missing or damaged.
         """
-        return read_weights(self.folder, self.config)
+        return self.files.read_weights(self.config)
 
 
 Runs = Mapping[str, Mapping[int, Run]]

@@ -29,7 +29,7 @@ from experiments.flower import (
 from experiments.flower.processes import MARKER, members
 from experiments.runtimes import on_flower
 from storage.checkpoint_files import CheckpointError
-from training.recording.files import report_failure
+from training.run_folder import RunFolder
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/environ").exists(), reason="finds processes in /proc"
@@ -304,7 +304,7 @@ def persevere(
         monkeypatch.setattr(on_flower, "_run", attempts)
         monkeypatch.setattr(on_flower, "latest", latest)
         config = compose(["runtime=simulation", f"federation.on_loss={on_loss}"])
-        on_flower._run_with_restarts(config, tmp_path, None)
+        on_flower._run_with_restarts(config, RunFolder(tmp_path), None)
 
     return make
 
@@ -436,7 +436,7 @@ def test_a_damaged_progress_file_does_not_hide_why_a_run_failed(
     tmp_path: Path, progress: str
 ) -> None:
     (tmp_path / "progress.json").write_text(progress)
-    report_failure(tmp_path, ValueError("the reason"))
+    RunFolder(tmp_path).report_failure(ValueError("the reason"))
     assert "the reason" in (tmp_path / "progress.json").read_text()
 
 
@@ -453,7 +453,7 @@ def test_a_lost_robot_or_process_is_told_from_a_failure(
     tmp_path: Path, progress: str | None, details: str, lost: bool
 ) -> None:
     if progress is not None:
-        on_flower.report_state(tmp_path, "failed", progress)
-    error = on_flower._failure(tmp_path, Status(RunState.FAILED, details), "the log")
+        RunFolder(tmp_path).report_state("failed", progress)
+    error = on_flower._failure(RunFolder(tmp_path), Status(RunState.FAILED, details), "the log")
     assert isinstance(error, ProcessLostError) is lost
     assert (progress or details) in str(error)

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import psutil
 import pytest
 
 from experiments.flower import (
@@ -35,7 +36,7 @@ from experiments.flower.control import ControlError
 from experiments.flower.manifest import write_manifest, write_run_config
 from experiments.flower.processes import MARKER, Process, members, terminate
 from experiments.flower.session import Session
-from training.preflight import max_concurrent_clients
+from training.engine_limits import max_concurrent_clients
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
 
@@ -162,15 +163,29 @@ def test_a_process_whose_number_was_given_to_another_is_left_alone() -> None:
     bystander.communicate(b"\n")
 
 
-def test_systems_without_proc_list_the_same_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_is_the_same_at_every_look_and_gone_after_its_end() -> None:
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    monkeypatch.setattr(processes, "_PROC", Path("/nonexistent"))
     row = processes.identify(child.pid)
     assert row is not None
     assert row.parent == os.getpid()
+    assert processes.table()[child.pid] == row
     assert row in members(None, [row])
-    assert terminate(None, [row]) == set()
+    child.kill()
+    wait_until(lambda: processes.table()[child.pid].zombie)
+    assert members(None, [row]) == set()
     child.communicate()
+    assert processes.identify(child.pid) is None
+    assert (processes.command(row), processes.environment(child.pid)) == ("", {})
+
+
+@needs_proc
+def test_the_start_of_a_process_does_not_move_with_the_clock(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before, booted_s = processes.identify(os.getpid()), psutil.boot_time()
+    monkeypatch.setattr("psutil._pslinux.boot_time", lambda: booted_s + 3600.0)
+    assert processes.identify(os.getpid()) == before
+    assert processes.table()[os.getpid()] == before
 
 
 # --- Session ---

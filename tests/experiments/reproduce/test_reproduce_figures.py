@@ -35,6 +35,7 @@ from experiments.reproduce.targets.plan import COMMON, Cell, cell_folder, config
 from experiments.runtimes import local
 from training.evaluation import Evaluator
 from training.preflight import checked_training
+from training.run_folder import RunFolder
 
 OWN = ("runtime", "run.", "env.ris.side")
 """Keys of the tiny task that cells set."""
@@ -47,7 +48,7 @@ def trained(cells: Sequence[Cell], tiny: Sequence[str], store: Path) -> Runs:
     for cell in with_overrides(cells, keys):
         runs[cell.name] = {}
         for seed, config in configs(cell, store).items():
-            local.train(config, Path(str(config.run.dir)))
+            local.train(config, RunFolder.of(config))
             runs[cell.name][seed] = Run(Path(str(config.run.dir)))
     return runs
 

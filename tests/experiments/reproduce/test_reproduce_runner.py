@@ -25,7 +25,7 @@ from experiments.cli import main
 from experiments.reproduce.jobs.runner import Plan, train
 from experiments.reproduce.targets.plan import Cell
 from experiments.runtimes import local, runner
-from training.session import STOP_FILE
+from training.run_folder import RunFolder
 
 HERE = ["hydra/launcher=basic"]
 """Jobs in this process, one after the other."""
@@ -81,10 +81,10 @@ def spoilt(monkeypatch: pytest.MonkeyPatch, seed: int, spoil: Callable[[Path], N
     begun: list[int] = []
     real = local.train
 
-    def spoilt_train(config: Config, folder: Path, *rest: Any) -> dict[str, Any]:
+    def spoilt_train(config: Config, folder: RunFolder, *rest: Any) -> dict[str, Any]:
         begun.append(config.seed)
         if config.seed == seed:
-            spoil(folder)
+            spoil(folder.path)
         return real(config, folder, *rest)
 
     monkeypatch.setitem(runner.RUNTIMES, "local", spoilt_train)
@@ -115,12 +115,12 @@ def test_a_run_has_the_bits_that_risfleet_train_gives(
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bits(plan: Plan, straight: Plan) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        spoilt(patch, 10, lambda folder: (folder / STOP_FILE).touch())
+        spoilt(patch, 10, lambda folder: (folder / "stop").touch())
         outcome, _ = trained(plan)
     first, second = plan.configs.values()
     assert (state_of(first), state_of(second)) == (State.BEGUN, State.DONE)
     assert list(outcome.failed) == [folder_of(first)]
-    (folder_of(first) / STOP_FILE).unlink(missing_ok=True)
+    (folder_of(first) / "stop").unlink(missing_ok=True)
     outcome, said = trained(plan)
     assert "1 runs to train, 1 done before" in said
     assert not outcome.failed
@@ -259,7 +259,7 @@ def test_ctrl_c_ends_all_runs_and_leaves_no_process_behind(
     assert "the same call goes on" in said
     summaries = [json.loads(path.read_text()) for path in store.glob("*/*/summary.json")]
     assert [each["stopped_early"] for each in summaries] == [True, True]
-    assert not list(store.rglob(STOP_FILE))
+    assert not list(store.rglob("stop"))
     until = time.monotonic() + PATIENCE_S
     while (left := alive(process.pid)) and time.monotonic() < until:
         time.sleep(0.1)  # the launcher's own helpers end a moment later

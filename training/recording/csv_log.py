@@ -1,67 +1,19 @@
-"""The files of a run's folder: each is whole whenever it is read."""
+"""The CSV files of a run: they grow by a row at a time, and a resumed run takes rows back."""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import os
-import time
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-from safetensors.numpy import save
-
-from storage.atomic import naming, write_atomically, write_whole
+from storage.atomic import naming, write_atomically
 from storage.checkpoint_files import CheckpointError
-
-
-def report_failure(folder: Path, error: BaseException) -> None:
-    """Writes to a run's ``progress.json`` that it failed, and why; a first failure stands."""
-    with suppress(OSError):  # of a full disk: the error that stands is the first
-        report_state(folder, "failed", f"{type(error).__name__}: {error}")
-
-
-def report_state(folder: Path, state: str, message: str) -> None:
-    """Writes to a run's ``progress.json`` what has become of it; a failure stands.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    path = folder / "progress.json"
-    status: dict[str, Any] = {}
-    with suppress(OSError, ValueError, TypeError):  # not yet there, or damaged
-        status |= json.loads(path.read_text(encoding="utf-8-sig"))
-    if status.get("state") == "failed":
-        return
-    status |= {"state": state, "message": message, "written_at": time.time()}
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, json.dumps(status))
-
-
-def save_weights(path: Path, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
-    """Writes the final weights: ``robots`` (K, 2, P) and ``ap`` (2, P_AP), online then target."""
-    arrays = {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}
-    write_whole(path, save(arrays))
-
-
-def to_json(values: dict[str, Any]) -> str:
-    """Values as strict JSON: what is not a finite number becomes null."""
-    return json.dumps(finite(values), indent=2) + "\n"
-
-
-def finite(value: Any) -> Any:
-    """Values as JSON has them: what is not a finite number becomes None."""
-    if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+from training.run_folder import RunFolder
 
 
 class CsvLog:
@@ -104,14 +56,14 @@ class CsvLog:
             self._file.close()
 
 
-def check_files(folder: Path, marks: Mapping[str, Any]) -> None:
+def check_files(folder: RunFolder, marks: Mapping[str, Any]) -> None:
     """Finds before a run goes on that its files hold what its checkpoint says.
 
     Raises:
         CheckpointError: a file is missing or shorter.
     """
-    _read_rows(folder / "metrics.csv", marks["episodes"])
-    _read_rows(folder / "evaluations.csv", 2 * marks["evaluations"])
+    _read_rows(folder.metrics_file, marks["episodes"])
+    _read_rows(folder.evaluations_file, 2 * marks["evaluations"])
 
 
 def _read_rows(path: Path, count: int) -> list[dict[str, float]]:

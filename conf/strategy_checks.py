@@ -1,0 +1,76 @@
+"""The rules of the group ``strategy``: which keys each strategy reads, and what it allows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+
+from conf.schema import Config, StrategyConfig
+from env.validate import Problem
+
+KEYS: dict[str, frozenset[str]] = {
+    "fedavg": frozenset(),
+    "fedavgm": frozenset({"server_rate", "momentum"}),
+    "fedadam": frozenset({"server_rate", "beta_1", "beta_2", "tau"}),
+    "fedmedian": frozenset(),
+    "fedprox": frozenset({"proximal_mu"}),
+    "krum": frozenset({"malicious"}),
+    "none": frozenset(),
+}
+"""The keys that each strategy reads, ``name`` aside."""
+
+
+def rules(config: Config) -> Iterator[Problem]:
+    """The rules, of a whole configuration."""
+    return problems(config.strategy, config.env.robots)
+
+
+def problems(config: StrategyConfig, robots: int) -> Iterator[Problem]:
+    """What is wrong with a configuration: keys, their values, and what is allowed.
+
+    Args:
+        config: the group ``strategy``.
+        robots: K.
+    """
+    if config.name not in KEYS:
+        yield "strategy.name", config.name, f"one of {', '.join(KEYS)}"
+        return
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if field.name in {"name", *KEYS[config.name]} or value == field.default:
+            continue
+        readers = " or ".join(name for name, keys in KEYS.items() if field.name in keys)
+        allowed = f"{field.default} with strategy={config.name}: only {readers} reads it"
+        yield f"strategy.{field.name}", value, allowed
+    if config.name in _RULES:
+        yield from _RULES[config.name](config, robots)
+
+
+def _fedprox(config: StrategyConfig, robots: int) -> Iterator[Problem]:
+    if not config.proximal_mu > 0:
+        allowed = "a number above 0 (without the proximal term it is strategy=fedavg)"
+        yield "strategy.proximal_mu", config.proximal_mu, allowed
+
+
+def _krum(config: StrategyConfig, robots: int) -> Iterator[Problem]:
+    """Krum tolerates f of K robots where K >= 2f + 3 (Blanchard et al., 2017, Proposition 2)."""
+    most = (robots - 3) // 2
+    if most < 0:
+        yield "strategy.name", config.name, f"env.robots of at least 3, not {robots}"
+    elif config.malicious > most:
+        allowed = f"from 0 to {most}: Krum needs env.robots={robots} to be at least 2 malicious + 3"
+        yield "strategy.malicious", config.malicious, allowed
+
+
+def _fedadam(config: StrategyConfig, robots: int) -> Iterator[Problem]:
+    """What Reddi et al., 2021, Algorithm 2 allows."""
+    if not config.tau > 0:
+        allowed = "a number above 0: the root of the squares is 0 where no robot moves a weight"
+        yield "strategy.tau", config.tau, allowed
+
+
+_RULES: dict[str, Callable[[StrategyConfig, int], Iterator[Problem]]] = {
+    "fedadam": _fedadam,
+    "fedprox": _fedprox,
+    "krum": _krum,
+}

@@ -1,0 +1,108 @@
+"""The Flower messages of a round: what a client is asked, and the weights that it replies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from flwr.app import Array, ArrayRecord, ConfigRecord, Message, MessageType, RecordDict
+from numpy.typing import NDArray
+
+from conf import Config, to_yaml
+from lockstep.errors import named
+from server_app.nodes import RoundError
+from training.partition import Block
+
+
+@dataclass(frozen=True, eq=False)
+class RoundStart:
+    """What a train message says of the state in which a round begins.
+
+    Attributes:
+        window: windows played before it, whose checkpoint the robots take; 0 is the run's start.
+        model: the global model that they take then, shape (2, P), or None.
+        resumed: whether they are to go on from checkpoints, which the link will say.
+    """
+
+    window: int
+    model: NDArray[np.float32] | None = None
+    resumed: bool = False
+
+
+@dataclass(frozen=True)
+class LinkAddress:
+    """Where the link listens.
+
+    Attributes:
+        host: as the robots reach it.
+        port: of TCP.
+        certificate: of its server, PEM; empty without TLS.
+    """
+
+    host: str
+    port: int
+    certificate: str = ""
+
+
+def train_message(
+    config: Config,
+    start: RoundStart,
+    number: int,
+    node: int,
+    tokens: Mapping[int, str],
+    link: LinkAddress,
+) -> Message:
+    """What a client is asked in a round.
+
+    Args:
+        config: the run's configuration.
+        start: where the round begins.
+        number: the round's.
+        node: the client's.
+        tokens: a secret for each of its robots, for this round.
+        link: where they join the link.
+    """
+    order = ConfigRecord(
+        {
+            "config": to_yaml(config),
+            "robots": list(tokens),
+            "tokens": list(tokens.values()),
+            "host": link.host,
+            "port": link.port,
+            "certificate": link.certificate,
+            "round": number,
+            "window": start.window,
+        }
+    )
+    arrays = {} if start.model is None else {"model": Array(start.model)}
+    return Message(
+        content=RecordDict({"arrays": ArrayRecord(arrays), "order": order}),
+        message_type=MessageType.TRAIN,
+        dst_node_id=node,
+        group_id=str(number),
+    )
+
+
+def read_reply(
+    reply: Message, block: Block, shape: tuple[int, int], number: int
+) -> tuple[NDArray[np.float32], float]:
+    """What a client replies at the end of a round.
+
+    Args:
+        reply: its message.
+        block: its robots.
+        shape: of one robot's weights, (2, P).
+        number: the round's.
+
+    Returns:
+        The robots' weights, shape (n, 2, P), and the client's processor time in s.
+
+    Raises:
+        RoundError: the weights are of another type or shape.
+    """
+    weights = reply.content.array_records["arrays"]["robots"].numpy()
+    if weights.shape != (len(block), *shape) or weights.dtype != np.float32:
+        raise RoundError(f"round {number}: {named(block)} sent {weights.dtype}{weights.shape}")
+    spent = reply.content.metric_records["metrics"]["cpu_s"]
+    return weights, float(spent)  # type: ignore[arg-type]

@@ -1,0 +1,21 @@
+"""JSON as the standard has it: no NaN and no infinity."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+
+def to_json(values: dict[str, Any]) -> str:
+    """Values as strict JSON: what is not a finite number becomes null."""
+    return json.dumps(finite(values), indent=2) + "\n"
+
+
+def finite(value: Any) -> Any:
+    """Values as JSON has them: what is not a finite number becomes None."""
+    if isinstance(value, dict):
+        return {key: finite(inner) for key, inner in value.items()}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

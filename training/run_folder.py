@@ -1,0 +1,260 @@
+"""The folder of a run: what each of its files is called, and how it is read and written whole."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
+
+from conf import Config, ConfigError, from_yaml, to_yaml, weight_shapes
+from env.texts import read_text
+from storage.atomic import write_atomically, write_whole
+from storage.strict_json import to_json
+
+_NOTHING_YET: dict[str, Any] = {
+    "state": "unknown",
+    "message": "",
+    "written_at": None,
+    "tick": 0,
+    "window": 0,
+    "episode": 0,
+    "episodes": 1,
+    "max_ticks": None,
+    "steps_per_s": 0.0,
+    "slots": None,
+    "reward": None,
+    "ee": None,
+    "success": None,
+    "evaluated": None,
+}
+"""What a run that failed before its first tick could not say, and a damaged file does not."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run's folder, there or not; no other module knows the name of a file in it.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+
+    @classmethod
+    def of(cls, config: Config) -> RunFolder:
+        """The folder that a configuration names in ``run.dir``."""
+        return cls(Path(str(config.run.dir)))
+
+    def __str__(self) -> str:
+        """The folder's path."""
+        return str(self.path)
+
+    # --- Where everything is ----------------------------------------------------------------------
+
+    @property
+    def config_file(self) -> Path:
+        """The whole configuration."""
+        return self.path / "config.yaml"
+
+    @property
+    def summary_file(self) -> Path:
+        """What the run came to; written last but for the figures."""
+        return self.path / "summary.json"
+
+    @property
+    def progress_file(self) -> Path:
+        """How far the run has come, for whoever watches from outside."""
+        return self.path / "progress.json"
+
+    @property
+    def metrics_file(self) -> Path:
+        """An episode a row."""
+        return self.path / "metrics.csv"
+
+    @property
+    def evaluations_file(self) -> Path:
+        """An evaluation two rows: with exploration, then greedy."""
+        return self.path / "evaluations.csv"
+
+    @property
+    def weights_file(self) -> Path:
+        """The final weights."""
+        return self.path / "weights.safetensors"
+
+    @property
+    def stop_file(self) -> Path:
+        """Once it is there, the run ends at its next window boundary; of a sweep, all its runs."""
+        return self.path / "stop"
+
+    @property
+    def log_file(self) -> Path:
+        """What Flower's processes say."""
+        return self.path / "flower.log"
+
+    @property
+    def state(self) -> Path:
+        """The folder of checkpoints, see ``storage.checkpoint_layout``."""
+        return self.path / "state"
+
+    @property
+    def figures(self) -> Path:
+        """The folder of figures."""
+        return self.path / "figures"
+
+    @property
+    def tensorboard(self) -> Path:
+        """The folder of TensorBoard's events."""
+        return self.path / "tensorboard"
+
+    # --- What is there ----------------------------------------------------------------------------
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether it holds more than what a run leaves that did not get to its configuration."""
+        before = {self.progress_file, self.stop_file}
+        return self.path.is_dir() and not {*self.path.iterdir()} <= before
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether what a run writes at its end is there."""
+        return self.summary_file.is_file() and self.weights_file.is_file()
+
+    @property
+    def has_records(self) -> bool:
+        """Whether what a run writes as it goes is there."""
+        return self.metrics_file.is_file() and self.evaluations_file.is_file()
+
+    def results(self) -> list[Path]:
+        """What is there for the user to look at, sorted."""
+        named = [
+            self.config_file,
+            self.summary_file,
+            self.metrics_file,
+            self.evaluations_file,
+            self.weights_file,
+            self.tensorboard,
+        ]
+        return sorted(p for p in (*named, *self.figures.glob("*.png")) if p.exists())
+
+    def clear(self, *, whole: bool = False) -> None:
+        """Removes what a run that goes on says anew.
+
+        Args:
+            whole: also what it had recorded, since it begins again.
+        """
+        stale = [self.progress_file, self.summary_file]
+        for path in stale + ([self.metrics_file, self.evaluations_file] if whole else []):
+            path.unlink(missing_ok=True)
+        if whole:
+            shutil.rmtree(self.tensorboard, ignore_errors=True)
+
+    # --- Configuration, summary, weights ----------------------------------------------------------
+
+    def read_config(self) -> Config:
+        """The configuration that the run has written.
+
+        Raises:
+            ConfigError: it is not there, or wrong.
+        """
+        path = self.config_file
+        try:
+            return from_yaml(read_text(path))
+        except UnicodeError as error:
+            raise ConfigError(f"{path} cannot be read: {error}.") from error
+        except OSError as error:
+            raise ConfigError(f"{self} is no run folder: {path.name} cannot be read.") from error
+
+    def write_config(self, config: Config) -> None:
+        """Writes the configuration."""
+        write_atomically(self.config_file, to_yaml(config))
+
+    def read_summary(self) -> dict[str, Any]:
+        """What the run came to.
+
+        Raises:
+            OSError: it cannot be read; ``FileNotFoundError`` before the run's end.
+            ValueError: it is damaged.
+        """
+        found: dict[str, Any] = json.loads(self.summary_file.read_text(encoding="utf-8-sig"))
+        return found
+
+    def write_summary(self, summary: dict[str, Any]) -> None:
+        """Writes what the run came to."""
+        write_atomically(self.summary_file, to_json(summary))
+
+    def read_weights(self, config: Config) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The online weights that the run has written: robots (K, P) and access point (P_AP,).
+
+        Raises:
+            ConfigError: they are missing, damaged or of another size than the configuration's.
+        """
+        path = self.weights_file
+        try:
+            arrays = load_file(path)
+        except FileNotFoundError as error:
+            raise ConfigError(f"{path} is missing: has the run ended?") from error
+        except SafetensorError as error:
+            raise ConfigError(f"{path} is damaged: {error}.") from error
+        except OSError as error:
+            raise ConfigError(f"{path} cannot be read: {error.strerror or error}.") from error
+        for name, shape in weight_shapes(config).items():
+            if name not in arrays or arrays[name].shape != shape:
+                found = arrays[name].shape if name in arrays else "nothing"
+                own = self.config_file.name
+                raise ConfigError(f"{path}: {name} is {found} where {own} says {shape}.")
+        return arrays["robots"][:, 0], arrays["ap"][0]
+
+    def write_weights(self, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
+        """Writes the final weights: robots (K, 2, P) and ap (2, P_AP), online then target."""
+        arrays = {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}
+        write_whole(self.weights_file, save(arrays))
+
+    # --- Progress ---------------------------------------------------------------------------------
+
+    def read_progress(self) -> dict[str, Any] | None:
+        """What the run last said of its progress; None if it has said nothing yet."""
+        try:
+            written = json.loads(self.progress_file.read_text(encoding="utf-8-sig"))
+        except (OSError, ValueError):
+            return None
+        return _NOTHING_YET | written if isinstance(written, dict) else None
+
+    def write_progress(self, status: Mapping[str, Any]) -> None:
+        """Writes how far the run has come; a crash of the machine may undo it."""
+        write_atomically(self.progress_file, json.dumps(status), durable=False)
+
+    def report_failure(self, error: BaseException) -> None:
+        """Writes to the progress that the run failed, and why; a first failure stands."""
+        with suppress(OSError):  # of a full disk: the error that stands is the first
+            self.report_state("failed", f"{type(error).__name__}: {error}")
+
+    def report_state(self, state: str, message: str) -> None:
+        """Writes to the progress what has become of the run; a failure stands.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        status: dict[str, Any] = {}
+        with suppress(OSError, ValueError, TypeError):  # not yet there, or damaged
+            status |= json.loads(self.progress_file.read_text(encoding="utf-8-sig"))
+        if status.get("state") == "failed":
+            return
+        status |= {"state": state, "message": message, "written_at": time.time()}
+        self.path.mkdir(parents=True, exist_ok=True)
+        write_atomically(self.progress_file, json.dumps(status))
+
+    @property
+    def failure(self) -> str | None:
+        """Why the run failed, in its own words; None if it says no such thing."""
+        status = self.read_progress()
+        return str(status["message"]) if status and status["state"] == "failed" else None
