@@ -94,6 +94,12 @@ def test_modules_and_functions_that_a_page_names_exist(page):
     assert [name for name in sorted(named - KEYS - GONE) if not resolves(name)] == []
 
 
+@pages
+def test_modules_that_the_reference_shows_exist(page):
+    shown = re.findall(r"^::: (\S+)$", text(page), re.M)
+    assert [name for name in shown if not resolves(name)] == []
+
+
 @cache
 def sources():
     folders = [ROOT / name for name in sorted(OURS)]
