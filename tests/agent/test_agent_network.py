@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from agent_helpers import same_bits
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from agent import NetworkShape, q_values
@@ -32,7 +32,6 @@ def test_numpy_and_torch_views_share_the_row():
     assert (flat == 2).all()
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     sizes=st.tuples(widths, st.lists(widths, min_size=1, max_size=3), widths),
     agents=st.integers(2, 5),

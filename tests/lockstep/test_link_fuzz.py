@@ -42,7 +42,7 @@ from server_app.certificates import run_certificate
 
 BLOCKS = ((0,), (1, 2))
 TOKENS = {robot: token(robot) for block in BLOCKS for robot in block}
-run_often = settings(max_examples=40, deadline=None)
+run_often = settings(max_examples=40)
 
 
 # --- The parser -----------------------------------------------------------------------------------
@@ -55,7 +55,6 @@ def test_the_fuzzers_know_every_kind_of_frame():
         messages_of(message_type).validate()
 
 
-@settings(max_examples=300, deadline=None)
 @given(pieces)
 def test_a_frame_is_refused_or_says_the_same_when_sent_on(data):
     try:
