@@ -228,7 +228,7 @@ def test_no_module_imports_itself_through_others():
 
 def test_no_folder_imports_itself_through_others():
     """Imports made inside functions count; those for type checkers alone do not."""
-    graph = {folder(module): set() for module in modules()}
+    graph: dict[str, set[str]] = {folder(module): set() for module in modules()}
     for module, tree in modules().items():
         for name in names(module, tree, walk_what_runs):
             if name in modules():

@@ -26,7 +26,7 @@ def test_parameters_counts_weights_and_biases():
 def test_numpy_and_torch_views_share_the_row():
     flat = np.zeros((2, 2, SHAPE.parameters + 3), np.float32)[:, 0, : SHAPE.parameters]
     for rows in (flat, torch.from_numpy(flat)):
-        for weight, bias in SHAPE.views(rows):
+        for weight, bias in SHAPE.views(rows):  # type: ignore[type-var]
             weight += 1
             bias += 1
     assert (flat == 2).all()

@@ -117,7 +117,7 @@ def test_a_watchdog_that_cannot_live_is_given_up(
         started.append(1)
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr(guard.subprocess, "Popen", refuse)
+    monkeypatch.setattr(guard.subprocess, "Popen", refuse)  # type: ignore[attr-defined]
     watched = Guard("name", tmp_path)
     for _ in range(50):
         watched.keep()

@@ -10,6 +10,7 @@ import os
 import socket
 import threading
 import tracemalloc
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,7 +89,8 @@ def test_a_wire_gives_whole_frames_however_they_are_cut(sent, rest, data):
     ours, theirs = socket.socketpair()
     with ours, theirs:
         ours.setblocking(False)
-        wire, got = FrameStream(ours, limit), []
+        wire = FrameStream(ours, limit)
+        got: list[Any] = []
         while stream and len(got) < len(sent):
             cut = data.draw(st.integers(1, 200))
             theirs.sendall(stream[:cut])

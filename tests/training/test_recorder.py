@@ -267,7 +267,7 @@ def test_a_run_whose_progress_cannot_be_written_goes_on_and_says_so_once(
 ) -> None:
     expected = trained(tiny, tmp_path / "undisturbed")["digest"]
     monkeypatch.setattr("training.recording.recorder.PROGRESS_PERIOD_S", 0.0)
-    write, refused = recorder.write_atomically, []
+    write, refused = recorder.write_atomically, []  # type: ignore[attr-defined]
 
     def refuse(path: Path, text: str, **options: bool) -> None:
         if path.name == "progress.json":

@@ -65,7 +65,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     """Lets a run fail before the server writes its checkpoint of a window."""
-    save = session.save_server
+    save = session.save_server  # type: ignore[attr-defined]
 
     def fatal(writer, state, at, *rest):
         if at == window:
@@ -210,7 +210,7 @@ def test_robots_a_write_ahead_of_the_server_leave_a_checkpoint_that_all_have(
         if window == 3:
             save(writer, state, window, *rest)
 
-    save = session.save_server
+    save = session.save_server  # type: ignore[attr-defined]
     with monkeypatch.context() as patch:
         patch.setattr(session, "save_server", stalled)
         given = ["train", *tiny_overrides, *CHANGES, f"run.dir={folder}"]

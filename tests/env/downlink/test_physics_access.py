@@ -207,7 +207,7 @@ def test_rates_fall_when_a_weaker_robot_takes_power_that_cannot_be_cancelled(cas
 @given(slots(), st.sampled_from(["residual", "zero"]))
 def test_picks_that_stand_give_the_literal_powers_and_rates(case, resolve):
     found = allocate(case, resolve)
-    power_w, rate, failed = literal_slot(*case, resolve)
+    power_w, rate, failed = literal_slot(*case, resolve)  # type: ignore[call-arg]
     assert found.power_w[0] == pytest.approx(power_w, rel=1e-9)
     assert found.rate[0] == pytest.approx(rate, rel=1e-9, abs=1e-12)
     assert found.sic_failed[0].tolist() == failed

@@ -79,7 +79,7 @@ def running(
     opened: list[Federation] = []
 
     def make(**changes: object) -> Federation:
-        made = Federation(**{"nodes": 2, "log_path": tmp_path / "log", **changes})  # type: ignore[arg-type]
+        made = Federation(**{"nodes": 2, "log_path": tmp_path / "log", **changes})
         opened.append(made.__enter__())
         return made
 
@@ -376,18 +376,18 @@ DONE = Status(RunState.COMPLETED)
 
 def test_questions_without_an_answer_are_no_end_of_a_run() -> None:
     asked = Asked(SILENT, Status(RunState.RUNNING), SILENT, SILENT, DONE)
-    assert on_flower._awaited(asked, 1, 60.0) == DONE  # type: ignore[arg-type]
+    assert on_flower._awaited(asked, 1, 60.0) == DONE
 
 
 def test_a_superlink_that_stays_silent_is_given_up() -> None:
     with pytest.raises(UnansweredError, match="no answer within"):
-        on_flower._awaited(Asked(SILENT), 1, 0.05)  # type: ignore[arg-type]
+        on_flower._awaited(Asked(SILENT), 1, 0.05)
 
 
 def test_what_flower_says_clearly_is_not_asked_again() -> None:
     for error in (DIED, FlowerError("SuperNode 0 ended with status 3 again and again.")):
         with pytest.raises(type(error)) as raised:
-            on_flower._awaited(Asked(error, DONE), 1, 60.0)  # type: ignore[arg-type]
+            on_flower._awaited(Asked(error, DONE), 1, 60.0)
         assert raised.value is error
 
 
@@ -453,7 +453,7 @@ def test_a_lost_robot_or_process_is_told_from_a_failure(
     tmp_path: Path, progress: str | None, details: str, lost: bool
 ) -> None:
     if progress is not None:
-        on_flower.report_state(tmp_path, "failed", progress)
+        on_flower.report_state(tmp_path, "failed", progress)  # type: ignore[attr-defined]
     error = on_flower._failure(tmp_path, Status(RunState.FAILED, details), "the log")
     assert isinstance(error, ProcessLostError) is lost
     assert (progress or details) in str(error)
