@@ -21,7 +21,7 @@ from experiments.flower.session import Session
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
 SLEEPER = [sys.executable, "-c", "import time; time.sleep(600)"]
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0
 
 
 def wait_until(condition: Callable[[], bool]) -> None:

@@ -26,7 +26,7 @@ from experiments.flower import environment
 from experiments.runtimes import runner
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 120.0
+PATIENCE_S = 300.0
 SMALL = (
     "runtime=local",
     "env.robots=2",

@@ -23,7 +23,7 @@ from server_app.recovery import RecoveringTrainer
 from training.checkpoint import latest
 
 Tiny = Callable[..., Config]
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 RUN = "0123456789abcdef"
 
 

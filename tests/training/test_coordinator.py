@@ -423,7 +423,7 @@ def over_tcp(
     finally:
         link.close()
     for thread in threads:
-        thread.join(20)
+        thread.join(120)
         assert not thread.is_alive()
     return played, raised
 

@@ -20,7 +20,7 @@ from experiments.flower import keys as keys_module
 from experiments.flower.keys import FleetKeys, KeysError, add_nodes, make_keys
 
 HOST = "ap.example"
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 
 
 @pytest.fixture(scope="module")
