@@ -7,6 +7,8 @@ SITE := $(VENV)/.site
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.12 python3.13 python3))
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 PACKAGES := env agent storage lockstep conf training server_app client_app experiments
+WORKERS ?= auto
+PARALLEL := -n $(WORKERS) --maxprocesses 8 --dist loadgroup
 CHAOS_KILLS ?= 50
 CHAOS_SEED ?= 0
 SOURCES := $(PACKAGES) tests benchmarks tools docs/examples
@@ -37,11 +39,13 @@ lint-rules: $(READY)
 lint-types: $(READY)
 	$(BIN)/mypy
 
+# A worker for each core; tests that share a costly fixture, or start Flower, stay on one.
 test: lint
-	$(BIN)/pytest -m "not slow and not chaos" --cov=env --cov=agent --cov=lockstep --cov=storage --cov-report=term --cov-fail-under=95
+	$(BIN)/pytest $(PARALLEL) --cov -m "not slow and not chaos"
 
+test-all: export HYPOTHESIS_PROFILE := thorough
 test-all: lint
-	$(BIN)/pytest -m "not chaos" --cov=env --cov=agent --cov=lockstep --cov=storage --cov-report=term --cov-fail-under=95
+	$(BIN)/pytest $(PARALLEL) --cov -m "not chaos"
 
 # Processes of real runs are killed at random moments; two hosts lose each other (as root, on Linux).
 chaos: $(READY)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from agent import DQN, NetworkShape, single_threaded
@@ -108,7 +110,10 @@ def engine(*, quick: bool = False) -> list[Result]:
 def _compared(width: int, target: Threshold, steps: int, blocks: int) -> Result:
     config = compose([f"agent.hidden=[{width},{width}]"])
     experience = Experience(robot_network(config), ap_network(config), config.env.robots)
-    variants = {"plain": Plain(config, experience), "stacked": Stacked(config, experience)}
+    variants: dict[str, Callable[[int], object]] = {
+        "plain": Plain(config, experience),
+        "stacked": Stacked(config, experience),
+    }
     for variant in variants.values():
         variant(config.agent.learn_from + steps)
     taken = take_turns(variants, steps, blocks)

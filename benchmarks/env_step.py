@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import gymnasium
@@ -78,7 +79,7 @@ def env_step(*, quick: bool = False) -> list[Result]:
     single_threaded()
     steps, blocks = (100, 3) if quick else (500, 15)
     scenario = Scenario.drawn(compose().env, 0)
-    variants = {
+    variants: dict[str, Callable[[int], object]] = {
         "world": Walk(scenario, 1),
         "cartpole": CartPole(),
         "batch": Walk(scenario, BATCH),

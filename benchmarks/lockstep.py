@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,7 +164,7 @@ def exchanges(config: Config, steps: int, blocks: int) -> dict[str, NDArray[np.f
     sizes = step_size(1), actions_size(1)
     with echoing(config.env.robots, sizes) as bare, connected_clients(config) as clients:
         link = Exchanges(clients.link, config.env.robots)
-        variants = {"bare": bare, "link": link}
+        variants: dict[str, Callable[[int], object]] = {"bare": bare, "link": link}
         for exchange in variants.values():
             exchange(steps)
         taken = take_turns(variants, steps, blocks, time.perf_counter)

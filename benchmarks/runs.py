@@ -198,7 +198,7 @@ def _wait(process: subprocess.Popen[bytes], watch: Callable[[], None]) -> None:
             return
         except subprocess.TimeoutExpired:
             watch()
-    raise RunError(f"{process.args} took more than {TIMEOUT_S:g} s")
+    raise RunError(f"{process.args!r} took more than {TIMEOUT_S:g} s")
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:

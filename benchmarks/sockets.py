@@ -40,6 +40,11 @@ class Bare:
                     left -= 1
 
 
+def _join(processes: list[BaseProcess]) -> None:
+    for process in processes:
+        process.join(PATIENCE_S)
+
+
 def echo(address: tuple[str, int], sizes: tuple[int, int]) -> None:
     """A process that answers each frame until the connection ends."""
     with socket.create_connection(address) as end:
@@ -56,7 +61,7 @@ def echoing(count: int, sizes: tuple[int, int]) -> Iterator[Bare]:
     with ExitStack() as stack, socket.create_server(("127.0.0.1", 0)) as listener:
         listener.settimeout(PATIENCE_S)
         started: list[BaseProcess] = []
-        stack.callback(lambda: [process.join(PATIENCE_S) for process in started])
+        stack.callback(lambda: _join(started))
         ends = []
         for _ in range(count):
             address = listener.getsockname()

@@ -13,8 +13,10 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-settings.register_profile("default", deadline=None)  # the machine may be busy
-settings.register_profile("quick", deadline=None, max_examples=25)
+# No deadlines: the machine may be busy.
+settings.register_profile("quick", deadline=None, max_examples=15)
+settings.register_profile("default", deadline=None, max_examples=50)
+settings.register_profile("thorough", deadline=None, max_examples=300)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 TINY = (
@@ -45,6 +47,23 @@ TINY = (
     "run.tensorboard=false",
 )
 """Three robots in a room of 48 cells that learn from their eighth transition on."""
+
+
+COSTLY = ("tiny_run", "reproduced", "runs_of_fig4", "runs_of_fig5", "straight", "expected")
+"""Fixtures that train for several tests: made once if all of these run on one worker."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Says which tests stay together when several workers share them.
+
+    Those that start Ray or Flower do: they run one after the other.
+    """
+    for item in items:
+        shared = [name for name in COSTLY if name in getattr(item, "fixturenames", ())]
+        if item.get_closest_marker("flower"):
+            shared = ["flower"]
+        if shared:
+            item.add_marker(pytest.mark.xdist_group(shared[0]))
 
 
 def changed(config: Any, changes: Mapping[str, Any]) -> Any:

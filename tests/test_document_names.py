@@ -10,7 +10,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 
 import pytest
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from conf import Config
 from conf.commented import commented_yaml

@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from conf.compose import FOLDER
+from conf.overrides import FOLDER
 
 PAGE = FOLDER.parent / "docs" / "environment.md"
 SNIPPETS = re.findall(r"^## ([^\n]+)$|^```python\n(.*?)^```$", PAGE.read_text(), re.M | re.S)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from conf.compose import FOLDER
+from conf.overrides import FOLDER
 
 EXAMPLES = FOLDER.parent / "docs" / "examples"
 

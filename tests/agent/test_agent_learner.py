@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from agent_helpers import Experience, fleet, generators, live, same_bits, shape_of, small_config
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info, threadpool_limits  # type: ignore[import-untyped]
 
 from agent import DQN, AgentConfig, NetworkShape, PriorityConfig, TargetConfig, single_threaded
 from agent.learning.learner import Learner, contiguous_runs, learning_rate_at
@@ -80,7 +80,7 @@ def test_the_learner_agrees_with_the_reference(changes, discount, mu):
             rate = learning_rate_at(config, update)
             plain.optimizer.param_groups[0]["lr"] = rate
             expected.append(
-                plain.update(
+                plain.update(  # type: ignore[call-arg]
                     *(torch.from_numpy(x.copy()) for x in fields[:3]),
                     *(torch.from_numpy(x.copy()) for x in fields[3:]),
                     torch.from_numpy(weights.copy()),

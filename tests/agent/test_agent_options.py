@@ -2,6 +2,7 @@
 
 from collections import Counter
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,7 +112,8 @@ def test_without_a_discount_there_is_nothing_further_to_sum():
 def test_the_target_is_copied_once_where_several_transitions_are_stored_at_once():
     config = small_config(n_step=4, target=TargetConfig(every=10), learn_from=60)
     shape = shape_of(config)
-    agent, copies = fleet(shape, config, [1]), []
+    agent = fleet(shape, config, [1])
+    copies: list[Any] = []
     agent._learner.copy_to_target = copies.append
     on, still = np.array([True]), np.zeros((1, shape.inputs), np.float32)
     for slot in range(1, 12):  # an episode of eleven slots, all in the same state
@@ -142,7 +144,8 @@ def test_transitions_are_drawn_by_their_errors_and_weigh_the_inverse():
     # Shares (|e| + .001)^1 = 1, 2, 5 of 8; N P = 3/8, 6/8, 15/8; weights over the largest drawn.
     ring, importance, _ = surprised(np.array([1, -2, 5]) - LEAST_ERROR * np.array([1, -1, 1]))
     drawn = np.empty((3, 1), np.float32)
-    counts, rng = Counter(), np.random.default_rng(0)
+    counts: Counter[float] = Counter()
+    rng = np.random.default_rng(0)
     for _ in range(4000):
         ring.sample(rng, drawn)
         numbers = drawn[:, 0].astype(int)

@@ -71,7 +71,7 @@ def test_an_agent_ends_in_the_same_bits_alone_and_stacked(variant):
             assert same_bits(array, together.agent_state(agent)[name]), name
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(
     hidden=st.lists(st.integers(1, 40), min_size=1, max_size=3),
     batch=st.integers(1, 24),

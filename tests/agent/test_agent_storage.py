@@ -15,7 +15,10 @@ from storage.checkpoint_files import (
     save_checkpoint,
 )
 
-ARRAYS = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.array([2**63], np.uint64)}
+ARRAYS: dict[str, np.ndarray] = {
+    "a": np.arange(6, dtype=np.float32).reshape(2, 3),
+    "b": np.array([2**63], np.uint64),
+}
 META = {"seed": 7, "names": ["x", "y"], "none": None}
 
 

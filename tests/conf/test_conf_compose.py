@@ -1,11 +1,12 @@
 """Composing a run's configuration: groups, experiments, and one sentence for each mistake."""
 
 import dataclasses
+from typing import Any
 
 import pytest
 
 from conf import Config, ConfigError, compose, from_yaml, overridden, problems, to_yaml
-from conf.compose import FOLDER
+from conf.overrides import FOLDER
 
 MISTAKES = [
     # A wrong key: what was meant, or what there is.
@@ -76,7 +77,7 @@ MISTAKES = [
 
 ALL_TO_ONE_PLACE = ("env.power.resolve=zero", "env.tasks.destination=common")
 
-BASELINES = {
+BASELINES: dict[str, dict[str, Any]] = {
     "none": {},
     "centralized": {"scheme.agents": "centralized", "strategy.name": "none"},
     "branching": {"scheme.agents": "branching", "strategy.name": "none"},

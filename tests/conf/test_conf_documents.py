@@ -8,7 +8,7 @@ from pkgutil import resolve_name
 import pytest
 
 from conf import Config
-from conf.compose import FOLDER
+from conf.overrides import FOLDER
 
 ROOT = FOLDER.parent
 PACKAGES = (

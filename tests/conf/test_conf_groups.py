@@ -18,7 +18,7 @@ from conf import (
     windows_per_round,
 )
 from conf.commented import commented_yaml
-from conf.compose import FOLDER
+from conf.overrides import FOLDER
 from env.checks import planned_config
 from env.config import EnvConfig
 from env.geometry import floor_plans

@@ -232,7 +232,7 @@ def test_a_far_start_is_refused_where_a_drawn_destination_could_lie_in_the_middl
     st.integers(0, 100),
     st.booleans(),
 )
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_every_robot_of_an_allowed_configuration_has_somewhere_to_start(
     width, depth, cell_m, start_m, seed, drawn
 ):

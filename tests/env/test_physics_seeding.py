@@ -4,7 +4,7 @@ import random
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from env.seeding import Stream, stream
@@ -40,7 +40,6 @@ def test_names_seeds_and_indices_give_streams_of_their_own():
 
 
 @given(st.integers(0, 2**40), st.sampled_from([*Stream]), st.integers(0, 63))
-@settings(deadline=None)
 def test_a_stream_depends_on_its_own_name_alone(seed, name, index):
     alone = stream(seed, name, index).random(4)
     others = [stream(seed, other, 0) for other in Stream]

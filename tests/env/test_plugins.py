@@ -5,6 +5,7 @@ import re
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -369,7 +370,7 @@ def test_the_pages_package_trains_with_the_pages_command(install, tmp_path, tiny
 
 def test_the_pages_script_trains(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names = {"__name__": "script"}
+    names: dict[str, Any] = {"__name__": "script"}
     exec(SCRIPT, names)
     assert names["status"] == 0
     assert names["fleet"].world.config.reward.model == "hurried"

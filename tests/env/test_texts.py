@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conf.compose import FOLDER
+from conf.overrides import FOLDER
 from env.texts import read_text, read_unmarked_text
 
 ROOT = FOLDER.parent

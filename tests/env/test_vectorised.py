@@ -82,7 +82,7 @@ def agrees_with_single_envs(config: dict[str, Any], mode: str) -> None:
         assert infos["shortest_slots"][i] == info["shortest_slots"]
     over = np.zeros(WORLDS, dtype=bool)
     for _ in range(2 * SLOTS + 3):
-        picks = random.integers(many.single_action_space.n, size=WORLDS)
+        picks = random.integers(many.single_action_space.n, size=WORLDS)  # type: ignore[attr-defined]
         seen, paid, ended, out, _ = many.step(picks)
         assert many.observation_space.contains(seen)
         for i, single in enumerate(alone):

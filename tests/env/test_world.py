@@ -373,7 +373,7 @@ def test_worlds_stepped_together_equal_worlds_stepped_alone_bit_by_bit(variant):
 
 
 @given(st.integers(0, 1000))
-@settings(deadline=None, max_examples=8)
+@settings(max_examples=8)
 def test_a_seed_fixes_the_trajectories(seed):
     config = EnvConfig(robots=3)
     radio_map = build_radio_map(config)

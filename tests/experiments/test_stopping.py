@@ -16,7 +16,7 @@ from rich.console import Console
 
 from experiments.runtimes.stopping import STOPPING, IgnoredSignals, ShieldedSignals, StopSignals
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 
 
 @pytest.mark.parametrize("number", STOPPING)

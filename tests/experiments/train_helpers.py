@@ -27,7 +27,7 @@ SMALL = (
     "run.tensorboard=false",
 )
 ENDLESS = (*(item for item in SMALL if not item.startswith("train")), "train.episodes=100000000")
-PATIENCE_S = 90.0
+PATIENCE_S = 300.0
 
 Start = Callable[..., subprocess.Popen[str]]
 

@@ -16,7 +16,7 @@ from experiments.flower.processes import members
 from experiments.flower.session import Session
 
 pytestmark = [pytest.mark.slow, pytest.mark.flower]
-PATIENCE_S = 120.0
+PATIENCE_S = 300.0
 
 
 class Fleet:

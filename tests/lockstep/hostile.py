@@ -65,7 +65,7 @@ def _encoded(message):
         return None
 
 
-MESSAGE_TYPES = tuple(typing.get_args(frames.Message))
+MESSAGE_TYPES = tuple(typing.get_args(frames.Message))  # type: ignore[attr-defined]
 valid_frames = (
     st.sampled_from(MESSAGE_TYPES)
     .flatmap(messages_of)

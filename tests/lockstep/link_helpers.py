@@ -13,7 +13,7 @@ from lockstep.wire_format import TEXT_SIZE
 
 PARAMETERS = 11
 SHAPE = (2, PARAMETERS)
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def token(robot):

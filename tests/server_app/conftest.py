@@ -24,7 +24,7 @@ from training.checkpoint import latest
 from training.run_folder import RunFolder
 
 Tiny = Callable[..., Config]
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 RUN = "0123456789abcdef"
 
 

@@ -179,13 +179,13 @@ def test_a_node_that_has_gone_is_replaced_by_one_that_joins(
                 raise KILLED
             return original(self, told)
 
-        RobotGroup.step = step  # type: ignore[method-assign]
+        RobotGroup.step = step
         try:
             train(message, context)
         except ServerLost:
             pass
         finally:
-            RobotGroup.step = original  # type: ignore[method-assign]
+            RobotGroup.step = original
 
     grid.clients = {1: cast(Client, vanishes)}
     assert run(config, grid)["digest"] == expected

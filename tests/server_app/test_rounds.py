@@ -34,7 +34,7 @@ from training.partition import partition_robots
 
 Tiny = Callable[..., Config]
 Play = Callable[..., Any]
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 RATES = {
     "fedprox": {"strategy.proximal_mu": 0.5},
     "fedavgm": {"strategy.server_rate": 0.5, "strategy.momentum": 0.5},

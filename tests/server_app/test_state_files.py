@@ -178,7 +178,7 @@ def test_the_command_names_a_damaged_checkpoint_and_goes_on_from_the_one_before_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ids = [RUN, OTHER]
-    monkeypatch.setattr(command.resume, "new_id", lambda: ids.pop(0))
+    monkeypatch.setattr(command.resume, "new_id", lambda: ids.pop(0))  # type: ignore[attr-defined]
     folder, other = tmp_path / "run", tmp_path / "other"
     assert main(begun(tiny_overrides, folder, 80)) == 0
     if damage is exchange:

@@ -40,7 +40,7 @@ from tools.chaos.verdict import (
     unfinished,
 )
 
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 
 # --- Processes ------------------------------------------------------------------------------------
 

@@ -109,8 +109,8 @@ def test_a_supernode_that_ended_is_started_again_after_a_while(
 ) -> None:
     codes: list[int | None] = [None, 9, 9, 9, None]
     dead = SimpleNamespace(poll=lambda: codes.pop(0))
-    fleet = ChaosFleet(SimpleNamespace(), tmp_path)  # type: ignore[arg-type]
-    node = Node(tmp_path / "node-0", dead)  # type: ignore[arg-type]
+    fleet = ChaosFleet(SimpleNamespace(), tmp_path)
+    node = Node(tmp_path / "node-0", dead)
     fleet.nodes = [node]
     now_s = iter([10.0, 10.0 + fleets.RESTART_S, 11.0 + fleets.RESTART_S])
     monkeypatch.setattr(fleets, "time", SimpleNamespace(monotonic=lambda: next(now_s)))

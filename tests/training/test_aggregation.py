@@ -522,7 +522,7 @@ def test_problems_name_the_key_and_what_is_allowed(
 def test_a_value_that_no_strategy_takes_is_refused_at_its_field(
     changes: dict[str, float], allowed: str
 ) -> None:
-    found = list(value_problems(StrategyConfig(**changes), "strategy."))  # type: ignore[arg-type]
+    found = list(value_problems(StrategyConfig(**changes), "strategy."))
     assert [(key, say) for key, _, say in found] == [(f"strategy.{next(iter(changes))}", allowed)]
 
 

@@ -80,7 +80,7 @@ def played(config: Config) -> tuple[CentralAgent, Spied, list[tuple[Any, ...]]]:
         learned.append(copy.deepcopy(given))
         return learn(*given)
 
-    agent.agent.learn = spied  # type: ignore[method-assign]
+    agent.agent.learn = spied
     Coordinator(config, world, agent, agent.fleet, None, Unwatched()).run(
         np.zeros((2, 0), np.float32)
     )
@@ -91,7 +91,7 @@ def test_the_reward_for_everything_is_the_papers() -> None:
     outcome = SimpleNamespace(
         local_reward=np.array([[1.0, -2.0, 4.0]]), global_reward=np.array([20.0])
     )
-    assert joint_reward(outcome, 0.1) == [5.0]  # type: ignore[arg-type]
+    assert joint_reward(outcome, 0.1) == [5.0]
 
 
 def test_what_it_decided_is_done_and_learned_from(config: Config) -> None:
@@ -132,7 +132,7 @@ def test_heads_that_share_learn_from_one_reward(tiny: Tiny) -> None:
     changes = {"scheme.agents": "branching", "scheme.heads": "shared", "scheme.global_share": 0.5}
     config = tiny({**changes, "strategy.name": "none", "env.robots": 2, "train.max_ticks": 40})
     agent, world, learned = played(config)
-    assert agent.agent.heads.discounts == (0.8, 0.8, 0.8)  # type: ignore[union-attr]
+    assert agent.agent.heads.discounts == (0.8, 0.8, 0.8)
     for step, (_, _, reward, *_rest) in zip(world.steps, learned, strict=True):
         assert reward.tolist() == [joint_reward(step.outcome, 0.5)[0]] * 3
 

@@ -409,7 +409,7 @@ def over_tcp(
         tokens = [f"secret-{robot}" for robot in block]
         options = {"fingerprint": "test", "timeout_s": 20.0, "n_parameters": shape[1]}
         try:
-            serve(link.address, block, tokens, robots, **options)  # type: ignore[arg-type]
+            serve(link.address, block, tokens, robots, **options)
         except ServerLost as error:
             raised.append(error)
 
@@ -423,7 +423,7 @@ def over_tcp(
     finally:
         link.close()
     for thread in threads:
-        thread.join(20)
+        thread.join(120)
         assert not thread.is_alive()
     return played, raised
 

@@ -71,7 +71,7 @@ def test_each_robot_follows_its_own_network(tiny: Tiny, weights: Weights) -> Non
     traces: list[list[NDArray[np.int64]]] = [[], []]
     evaluator.play(robots, ap, (0.0,), traces[0])
     other = robots.copy()
-    other[1] = np.random.default_rng(0).normal(size=robots.shape[1]).astype(np.float32)
+    other[1] = np.random.default_rng(0).normal(size=robots.shape[1]).astype(np.float32)  # type: ignore[attr-defined]
     evaluator.play(other, ap, (0.0,), traces[1])
     length = min(map(len, traces))
     before, after = (np.stack(trace[:length]) for trace in traces)

@@ -41,12 +41,26 @@ def slow(*values: object) -> Any:
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
+@pytest.fixture(scope="session")
+def run_of_120_ticks(tiny_overrides: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run that nothing happens to, trained once; not to be changed."""
+    folder: Path = tmp_path_factory.mktemp("resume") / "run"
+    assert main(["train", *tiny_overrides, *CHANGES, f"run.dir={folder}"]) == 0
+    return folder
+
+
 @pytest.fixture
-def train(tiny_overrides: list[str], tmp_path: Path) -> Callable[..., Path]:
-    """Trains the tiny fleet from the command line, into a folder of this name."""
+def train(tiny_overrides: list[str], tmp_path: Path, run_of_120_ticks: Path) -> Callable[..., Path]:
+    """Trains the tiny fleet from the command line, into a folder of this name.
+
+    Without changes the run is a copy of the one that was trained once.
+    """
 
     def run(name: str, *changes: str) -> Path:
         folder = tmp_path / name
+        if not changes:
+            shutil.copytree(run_of_120_ticks, folder)
+            return folder
         assert main(["train", *tiny_overrides, *CHANGES, *changes, f"run.dir={folder}"]) == 0
         return folder
 
@@ -65,7 +79,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     """Lets a run fail before the server writes its checkpoint of a window."""
-    save = session.save_server
+    save = session.save_server  # type: ignore[attr-defined]
 
     def fatal(writer, state, at, *rest):
         if at == window:
@@ -138,7 +152,8 @@ def test_a_run_may_be_moved(train, tmp_path) -> None:
 
 
 def test_a_killed_process_can_be_resumed(train, tiny_overrides, tmp_path) -> None:
-    length = ("train.max_ticks=3000", "train.episodes=1000000", "state.every=5")
+    length = ("train.max_ticks=3000", "train.episodes=1000000")
+    length = (*length, "state.every=5", "evaluation.every=20")
     whole = train("whole", *length)
     folder = tmp_path / "killed"
     command = [sys.executable, "-m", "experiments.cli", "train", *tiny_overrides, *CHANGES]
@@ -147,7 +162,7 @@ def test_a_killed_process_can_be_resumed(train, tiny_overrides, tmp_path) -> Non
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while len(checkpoints(server_folder(folder / "state"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
@@ -210,7 +225,7 @@ def test_robots_a_write_ahead_of_the_server_leave_a_checkpoint_that_all_have(
         if window == 3:
             save(writer, state, window, *rest)
 
-    save = session.save_server
+    save = session.save_server  # type: ignore[attr-defined]
     with monkeypatch.context() as patch:
         patch.setattr(session, "save_server", stalled)
         given = ["train", *tiny_overrides, *CHANGES, f"run.dir={folder}"]

@@ -326,7 +326,7 @@ def test_the_views_are_names_of_the_package() -> None:
     assert env.RISFleetParallelEnv is RISFleetParallelEnv
     assert env.SingleRobotEnv is SingleRobotEnv
     with pytest.raises(AttributeError, match="nothing"):
-        _ = env.nothing  # type: ignore[attr-defined]
+        _ = env.nothing
 
 
 @pytest.mark.parametrize(

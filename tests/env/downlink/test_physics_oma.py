@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from env.config import EnvConfig, OmaConfig, PowerConfig
@@ -56,7 +56,6 @@ def test_the_band_is_divided_into_as_many_parts_as_robots_or_as_drive():
 
 
 @given(st.lists(gains, min_size=1, max_size=6), st.floats(0, 1), st.integers(1, 64))
-@settings(deadline=None)
 def test_rates_are_never_negative_and_grow_with_the_power(gain, power_w, parts):
     gain, parts = np.array(gain), np.array([parts])
     rate = access.oma_rates(gain, np.full(len(gain), power_w), NOISE_W, parts)
@@ -65,7 +64,6 @@ def test_rates_are_never_negative_and_grow_with_the_power(gain, power_w, parts):
 
 
 @given(slots())
-@settings(deadline=None)
 def test_no_robot_has_less_where_the_parts_of_those_that_arrived_are_dealt_out_again(case):
     fixed, again = allocate(case, "fixed"), allocate(case, "reallocate")
     assert (again.rate >= fixed.rate * (1 - 1e-12)).all()
@@ -75,7 +73,6 @@ def test_no_robot_has_less_where_the_parts_of_those_that_arrived_are_dealt_out_a
 
 
 @given(slots(), st.sampled_from(SHARES), st.sampled_from(["project", "residual", "zero"]))
-@settings(deadline=None)
 def test_the_budget_is_kept_and_nothing_fails_or_is_projected(case, share, resolve):
     found = allocate(case, share, resolve=resolve)
     assert (found.power_w.sum(axis=-1) <= MAX_POWER_W * (1 + 1e-12)).all()
@@ -87,7 +84,6 @@ def test_the_budget_is_kept_and_nothing_fails_or_is_projected(case, share, resol
 
 
 @given(slots(), st.sampled_from(SHARES))
-@settings(deadline=None)
 def test_power_levels_have_no_effect_nor_has_what_others_channels_are(case, share):
     gain, picks, served = case
     found = allocate(case, share)

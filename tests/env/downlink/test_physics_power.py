@@ -81,21 +81,18 @@ def faint_slots(draw, robots, levels):
 
 
 @given(problems())
-@settings(deadline=None, max_examples=150)
 def test_the_search_by_levels_finds_the_nearest_combination(case):
     picks, levels, _ = case
     assert project(picks, levels) == nearest(picks, levels)
 
 
 @given(problems())
-@settings(deadline=None, max_examples=150)
 def test_with_margins_it_finds_the_nearest_one_that_keeps_them_or_none(case):
     picks, levels, gaps = case
     assert project(picks, levels, gaps) == nearest(picks, levels, gaps)
 
 
 @given(problems())
-@settings(deadline=None, max_examples=100)
 def test_a_search_that_widens_step_by_step_and_row_by_row_finds_the_same(case):
     picks, levels, gaps = case
     with (
@@ -165,7 +162,7 @@ def test_rows_keep_to_themselves_whatever_their_counts():
 
 @pytest.mark.parametrize(("robots", "levels"), [(2, 6), (3, 6), (4, 6), (3, 12), (6, 12)])
 @given(st.data())
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_what_is_sent_is_nearest_with_or_without_a_table(robots, levels, data):
     """Under the margins of the channels; where no combination keeps them, without margins."""
     picks, count, gains = data.draw(faint_slots(robots, levels))
@@ -198,7 +195,6 @@ def test_a_level_is_a_halving_and_level_zero_is_nothing():
 
 
 @given(st.lists(st.integers(0, 12), min_size=1, max_size=8))
-@settings(deadline=None)
 def test_scaling_keeps_the_budget_and_the_shares(levels):
     asked = fractions(np.array(levels))
     sent = scaled_to_budget(asked)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from conf import Config, ConfigError, compose, from_yaml, to_yaml
-from conf.compose import FOLDER
+from conf.overrides import FOLDER
 from env.apis.parallel_env import RISFleetParallelEnv
 from env.apis.single_robot import SingleRobotEnv
 from env.checks import checked_config

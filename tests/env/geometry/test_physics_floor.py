@@ -47,7 +47,6 @@ def test_the_default_room_has_60_by_60_cells_and_robots_stand_at_their_centres()
 
 
 @given(small, small, st.sampled_from([0.1, 0.25, 0.5, 1.0, 3.0]))
-@settings(deadline=None, max_examples=50)
 def test_every_centre_lies_in_its_own_cell(columns, rows, cell_m):
     floor = floor_of(columns, rows, cell_m)
     assert floor.cell_at(floor.centres()).tolist() == list(range(floor.cells))
@@ -70,7 +69,7 @@ def test_moves_lead_to_the_cell_on_that_side():
 
 
 @given(small, small)
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_move_changes_one_coordinate_by_one_cell_or_stays_at_the_edge(columns, rows):
     floor = floor_of(columns, rows)
     centres = floor.centres()
@@ -83,7 +82,7 @@ def test_a_move_changes_one_coordinate_by_one_cell_or_stays_at_the_edge(columns,
 
 
 @given(small, small, st.data())
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_shortest_slots_are_those_of_a_breadth_first_search(columns, rows, data):
     floor = floor_of(columns, rows)
     start = data.draw(st.integers(0, floor.cells - 1))
@@ -110,7 +109,6 @@ def test_line_of_sight_is_that_of_shapely_for_random_walls(seed):
 
 
 @given(st.tuples(lattice, lattice), st.tuples(lattice, lattice), st.lists(segment, max_size=4))
-@settings(deadline=None, max_examples=300)
 def test_a_link_that_touches_a_wall_or_runs_along_it_is_blocked(end, point, walls):
     shapely = pytest.importorskip("shapely")
     link = shapely.Point(end) if end == point else shapely.LineString([end, point])
@@ -141,7 +139,7 @@ def test_destinations_of_the_configuration_come_first_and_draw_nothing():
 
 
 @given(st.integers(0, 10_000), st.integers(5, 12), st.sampled_from([0.5, 2.0, 5.0]))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_drawn_destinations_keep_their_distance(seed, robots, spacing_m):
     tasks = TasksConfig(destination_spacing_m=spacing_m)
     config = EnvConfig(robots=robots, tasks=tasks)
@@ -160,7 +158,7 @@ def test_destinations_differ_between_seeds_where_they_are_drawn():
 
 
 @given(st.integers(0, 10_000), st.integers(2, 6))
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_random_destinations_are_all_drawn_and_keep_their_distance(seed, robots):
     config = EnvConfig(robots=robots, tasks=TasksConfig(destination="random"))
     cells = draw_destinations(config, stream(seed, Stream.DESTINATIONS))

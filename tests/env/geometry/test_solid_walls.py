@@ -64,7 +64,6 @@ BOX = [*CUP, [1.0, 3.0, 1.0, 1.0]]
 
 
 @given(plans)
-@settings(deadline=None, max_examples=60)
 def test_a_move_is_stopped_where_shapely_says_that_it_touches_a_wall(walls):
     shapely = pytest.importorskip("shapely")
     floor, lines = floor_of(walls), [shapely.LineString([w[:2], w[2:]]) for w in walls]
@@ -80,7 +79,7 @@ def test_a_move_is_stopped_where_shapely_says_that_it_touches_a_wall(walls):
 
 
 @given(plans, st.sampled_from([0.1, 0.3, 0.7]))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_wall_stops_both_ways(walls, cell_m):
     floor = dataclasses.replace(floor_of(walls), cell_m=cell_m)
     moves = floor.neighbours()
@@ -95,7 +94,6 @@ def test_walls_that_are_not_solid_stop_nobody():
 
 
 @given(plans, st.lists(st.integers(0, 63), min_size=1, max_size=3))
-@settings(deadline=None, max_examples=50)
 def test_ways_are_those_of_a_breadth_first_search(walls, destinations):
     floor = floor_of(walls)
     found = floor.slots_to(np.array(destinations))
@@ -105,7 +103,6 @@ def test_ways_are_those_of_a_breadth_first_search(walls, destinations):
 
 
 @given(plans)
-@settings(deadline=None, max_examples=50)
 def test_the_drivable_floor_is_the_largest_part(walls):
     floor = floor_of(walls)
     parts = {frozenset(breadth_first(floor.neighbours(), cell)) for cell in range(floor.cells)}
@@ -124,7 +121,6 @@ def test_ways_over_250000_cells_with_walls():
 
 
 @given(plans, st.integers(0, 63), st.integers(0, 63))
-@settings(deadline=None, max_examples=60)
 def test_shortest_directions_take_a_robot_round_walls_in_as_many_slots_as_the_way_has(
     walls, start, goal
 ):
@@ -191,7 +187,6 @@ def test_places_of_robots_that_there_are_not_may_be_cut_off():
 
 
 @given(plans, st.floats(0, 5), st.booleans(), st.integers(0, 50))
-@settings(deadline=None, max_examples=60)
 def test_a_start_distance_is_allowed_just_where_every_robot_has_somewhere_to_start(
     walls, distance_m, drawn, seed
 ):

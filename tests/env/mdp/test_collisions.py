@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from env.apis.parallel_env import RISFleetParallelEnv
@@ -62,13 +62,11 @@ def scenes(draw):
 
 
 @given(scenes())
-@settings(deadline=None, max_examples=300)
 def test_moves_are_those_of_the_rule_word_by_word(scene):
     assert moves_without_collisions(*scene).tolist() == literal(*(part.tolist() for part in scene))
 
 
 @given(scenes())
-@settings(deadline=None, max_examples=200)
 def test_driving_robots_never_share_a_cell_and_never_swap(scene):
     cell, _, driving, destinations = scene
     after = moves_without_collisions(*scene)

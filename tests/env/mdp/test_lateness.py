@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from env.apis.parallel_env import RISFleetParallelEnv
@@ -64,7 +64,6 @@ def arrives(config, goals, robot, start):
 
 
 @given(st.lists(segments, max_size=6), st.integers(1, 14), st.floats(0, 4), st.integers(0, 20))
-@settings(deadline=None, max_examples=80)
 def test_the_share_is_that_of_starts_from_which_no_moves_arrive(walls, slots, apart_m, seed):
     drawn = {"destination": "random", "destination_spacing_m": 0.5, "start_distance_m": apart_m}
     config = whole(small(walls, 2, 1000, **drawn))
@@ -84,7 +83,6 @@ def test_the_share_is_that_of_starts_from_which_no_moves_arrive(walls, slots, ap
 
 
 @given(st.lists(segments, max_size=6), st.integers(1, 9), st.floats(0, 4))
-@settings(deadline=None, max_examples=60)
 def test_the_number_of_slots_that_a_refusal_names_is_the_least_that_is_allowed(
     walls, slots, apart_m
 ):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from env.config import EnvConfig, MotionConfig, QoeConfig, RewardConfig
@@ -74,7 +74,6 @@ def test_bits_per_joule_by_hand():
 
 
 @given(st.floats(0, 30), st.lists(st.integers(1, 150), min_size=1, max_size=5))
-@settings(deadline=None)
 def test_bits_per_joule_at_one_rate_do_not_depend_on_the_length_of_ways(rate, driven):
     slots = np.array([driven])
     found = bits_per_joule(rate * slots, slots, 1.0, 1.0, MotionConfig())
@@ -89,7 +88,6 @@ def test_quality_of_experience_of_baseline_3_by_hand():
 
 
 @given(st.floats(0, 40), st.floats(0, 40))
-@settings(deadline=None)
 def test_quality_never_falls_with_the_rate(first, second):
     low, high = sorted((first, second))
     found = quality_of_experience(np.array([low, high]), QoeConfig())
@@ -97,7 +95,6 @@ def test_quality_never_falls_with_the_rate(first, second):
 
 
 @given(st.integers(0, 2**32), st.integers(1, 40))
-@settings(deadline=None)
 def test_the_bits_of_the_quality_do_not_depend_on_what_lies_around_a_rate(seed, count):
     """A robot works its reward out from one field of a message, the world from an array of all."""
     rate = np.random.default_rng(seed).exponential(5.0, size=count)
@@ -116,7 +113,6 @@ def test_rewards_are_made_of_the_rate_unless_the_metric_is_quality():
 
 
 @given(st.floats(0, 30), st.integers(1, 150), st.integers(1, 150))
-@settings(deadline=None)
 def test_at_the_same_mean_rate_a_longer_way_is_less_efficient(mean_rate, first, second):
     short, long = sorted((first, second))
     sums, slots = np.array([[mean_rate * short], [mean_rate * long]]), np.array([[short], [long]])
@@ -132,7 +128,6 @@ def test_a_robot_has_four_directions_times_the_power_levels_of_actions():
 
 
 @given(st.integers(1, 12))
-@settings(deadline=None)
 def test_actions_and_pairs_of_direction_and_level_are_one_to_one(levels):
     every = np.arange(ActionSpace(levels).count)
     direction, level = ActionSpace(levels).decode(every)

@@ -1,5 +1,7 @@
 """What the world looks up is, bit for bit, what it would compute."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,10 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 
-SMALL = {"room": {"width_m": 10.0, "depth_m": 8.0}, "walls": {"segments": [[0.0, 4.0, 7.0, 4.0]]}}
+SMALL: dict[str, Any] = {
+    "room": {"width_m": 10.0, "depth_m": 8.0},
+    "walls": {"segments": [[0.0, 4.0, 7.0, 4.0]]},
+}
 SMALL |= {"ap": {"position_m": [5.0, 8.0, 2.0]}, "ris": {"position_m": [10.0, 2.0, 2.0]}}
 SMALL |= {
     "tasks": {
@@ -21,7 +26,7 @@ SMALL |= {
     }
 }
 
-VARIANTS = [
+VARIANTS: list[dict[str, Any]] = [
     {},
     {"ris": {"side": 0}},
     {"ris": {"side": 12, "subsurfaces": 6}},
@@ -48,7 +53,8 @@ def played(config, slots=12):
     destinations = draw_destinations(config, stream(3, Stream.DESTINATIONS))
     worlds = World(Scenario(config, destinations), stream(3, Stream.WORLD), 7)
     worlds.reset()
-    moves, found = np.random.default_rng(1), []
+    moves = np.random.default_rng(1)
+    found: list[Any] = []
     for _ in range(slots):
         phase = moves.integers(worlds.phase_actions, size=7)
         direction = moves.integers(4, size=worlds.cell.shape)

@@ -38,7 +38,7 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "ris": {"subsurfaces": 2},
     },
 }
-few = settings(max_examples=15, deadline=None)
+few = settings(max_examples=15)
 
 
 @cache

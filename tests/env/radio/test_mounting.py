@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from env.checks import checked_config
@@ -59,7 +59,6 @@ def blocked_for_shapely(shapely, walls, device, point):
 
 
 @given(walls_of, places, st.lists(st.tuples(halves, halves), min_size=1, max_size=12))
-@settings(deadline=None, max_examples=300)
 def test_a_device_sees_what_shapely_says_that_no_wall_beyond_it_touches(walls, device, points):
     shapely = pytest.importorskip("shapely")
     found = sees(floor_of(walls), device, np.array(points))
@@ -68,7 +67,6 @@ def test_a_device_sees_what_shapely_says_that_no_wall_beyond_it_touches(walls, d
 
 
 @given(walls_of, places, places)
-@settings(deadline=None, max_examples=200)
 def test_two_devices_see_each_other_where_neither_is_blocked_beyond_both(walls, first, second):
     shapely = pytest.importorskip("shapely")
     at_one = [wall for wall in walls if first in (wall[:2], wall[2:])]
@@ -80,7 +78,6 @@ def test_two_devices_see_each_other_where_neither_is_blocked_beyond_both(walls, 
 
 
 @given(walls_of, places, st.lists(st.tuples(halves, halves), min_size=1, max_size=8))
-@settings(deadline=None, max_examples=200)
 def test_walls_round_the_room_change_no_sight(walls, device, points):
     floor, closed = floor_of(walls), floor_of([*walls, *outer(SIDE, SIDE)])
     assert (sees(floor, device, np.array(points)) == sees(closed, device, np.array(points))).all()
@@ -88,7 +85,6 @@ def test_walls_round_the_room_change_no_sight(walls, device, points):
 
 
 @given(walls_of, places, st.lists(st.tuples(halves, halves), min_size=1, max_size=8))
-@settings(deadline=None, max_examples=200)
 def test_walls_elsewhere_shade_as_they_do_for_any_link(walls, device, points):
     away = [wall for wall in walls if device not in (wall[:2], wall[2:])]
     floor = floor_of(away)
@@ -196,7 +192,6 @@ def test_a_surface_that_there_is_not_may_be_inside_a_wall():
 
 
 @given(walls_of, places)
-@settings(deadline=None, max_examples=200)
 def test_a_device_is_inside_a_wall_where_shapely_finds_wall_on_both_sides(walls, device):
     shapely = pytest.importorskip("shapely")
     config = checked_config(

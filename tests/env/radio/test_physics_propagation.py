@@ -39,7 +39,6 @@ def test_path_loss_is_that_of_the_indoor_hotspot(distance_m, frequency_ghz, los,
 
 
 @given(st.floats(0.5, 100), st.floats(0.5, 100), st.floats(0.5, 60))
-@settings(deadline=None)
 def test_loss_grows_with_distance_and_behind_walls(first_m, second_m, frequency_ghz):
     near, far = sorted((first_m, second_m))
     for los in (True, False):
@@ -83,7 +82,6 @@ def test_a_walls_shadow_takes_nothing_from_the_fading_of_clear_cells():
 
 
 @given(st.integers(1, 40), st.integers(1, 5), st.floats(1e-6, 1.0), st.floats(1e-6, 1.0))
-@settings(deadline=None)
 def test_the_reflected_power_grows_with_the_square_of_the_elements(side, times, incoming, outgoing):
     at = np.array([outgoing])
     one = coherent_response(incoming, at, side**2, 1)
@@ -92,7 +90,6 @@ def test_the_reflected_power_grows_with_the_square_of_the_elements(side, times, 
 
 
 @given(st.sampled_from([(4, 1), (4, 2), (16, 4), (36, 6), (900, 5)]), st.floats(1e-6, 1.0))
-@settings(deadline=None)
 def test_subsurfaces_share_the_elements_and_add_up_to_the_whole(case, outgoing):
     elements, subsurfaces = case
     parts = coherent_response(0.5, np.array([outgoing]), elements, subsurfaces)
@@ -112,7 +109,6 @@ def test_the_phases_are_the_papers_odd_half_steps():
 
 
 @given(st.integers(1, 10))
-@settings(deadline=None)
 def test_the_phases_divide_the_circle_evenly(bits):
     theta = phases(bits)
     assert len(theta) == 2**bits
@@ -122,7 +118,7 @@ def test_the_phases_divide_the_circle_evenly(bits):
 
 
 @given(st.integers(1, 3), st.integers(1, 4))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_the_digits_of_an_action_are_its_phases_the_first_subsurface_last(bits, subsurfaces):
     count = 2**bits
     found = phase_settings(bits, subsurfaces)

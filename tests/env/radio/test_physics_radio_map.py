@@ -90,7 +90,7 @@ def test_lines_of_sight_are_those_past_the_default_wall():
 
 
 @given(st.integers(0, 3), st.integers(0, 2))
-@settings(deadline=None, max_examples=8)
+@settings(max_examples=8)
 def test_no_surface_is_exactly_the_direct_channel(action, seed):
     tables = build_radio_map(EnvConfig(map_seed=seed, ris=RisConfig(side=0)))
     every = np.arange(3600)
@@ -103,7 +103,7 @@ def test_the_direct_channel_knows_nothing_of_the_surface():
 
 
 @given(st.integers(-5, 5))
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 def test_phases_are_periodic(turns):
     tables = build_radio_map(EnvConfig(ris=RisConfig(side=4, subsurfaces=2, bits=1)))
     turned = dataclasses.replace(

@@ -79,7 +79,7 @@ def running(
     opened: list[Federation] = []
 
     def make(**changes: object) -> Federation:
-        made = Federation(**{"nodes": 2, "log_path": tmp_path / "log", **changes})  # type: ignore[arg-type]
+        made = Federation(**{"nodes": 2, "log_path": tmp_path / "log", **changes})
         opened.append(made.__enter__())
         return made
 
@@ -98,7 +98,7 @@ def started(tmp_path: Path, name: str = "") -> list[list[str]]:
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while not condition():
         assert time.monotonic() < deadline, "it never happened"
         time.sleep(0.05)
@@ -376,18 +376,18 @@ DONE = Status(RunState.COMPLETED)
 
 def test_questions_without_an_answer_are_no_end_of_a_run() -> None:
     asked = Asked(SILENT, Status(RunState.RUNNING), SILENT, SILENT, DONE)
-    assert on_flower._awaited(asked, 1, 60.0) == DONE  # type: ignore[arg-type]
+    assert on_flower._awaited(asked, 1, 60.0) == DONE
 
 
 def test_a_superlink_that_stays_silent_is_given_up() -> None:
     with pytest.raises(UnansweredError, match="no answer within"):
-        on_flower._awaited(Asked(SILENT), 1, 0.05)  # type: ignore[arg-type]
+        on_flower._awaited(Asked(SILENT), 1, 0.05)
 
 
 def test_what_flower_says_clearly_is_not_asked_again() -> None:
     for error in (DIED, FlowerError("SuperNode 0 ended with status 3 again and again.")):
         with pytest.raises(type(error)) as raised:
-            on_flower._awaited(Asked(error, DONE), 1, 60.0)  # type: ignore[arg-type]
+            on_flower._awaited(Asked(error, DONE), 1, 60.0)
         assert raised.value is error
 
 

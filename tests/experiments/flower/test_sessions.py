@@ -14,7 +14,7 @@ import pytest
 from experiments.flower.processes import MARKER, Process, identify, members
 from experiments.flower.session import Session
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 
 ORPHAN = """
 import os, subprocess, sys

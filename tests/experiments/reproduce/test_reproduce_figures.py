@@ -111,7 +111,7 @@ def test_cells_are_configurations_that_can_be_trained() -> None:
 
 
 def test_figures_share_the_runs_that_both_need() -> None:
-    both = [fig4.Fig4Setting(3, 30, 20, "noma"), fig5.Fig5Setting(30, "qos")]
+    both: list[Any] = [fig4.Fig4Setting(3, 30, 20, "noma"), fig5.Fig5Setting(30, "qos")]
     folders = {cell_folder(checked_training([*COMMON, *each.overrides])) for each in both}
     assert folders == {cell_folder(checked_training(COMMON))}
 

@@ -30,7 +30,7 @@ from training.run_folder import RunFolder
 HERE = ["hydra/launcher=basic"]
 """Jobs in this process, one after the other."""
 
-PATIENCE_S = 120.0
+PATIENCE_S = 300.0
 
 
 @pytest.fixture(scope="module")
