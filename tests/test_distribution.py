@@ -17,7 +17,7 @@ def test_every_package_that_is_shipped_says_that_it_has_types():
 
 
 def test_the_wheel_the_type_checker_and_make_know_the_same_packages():
-    assert PROJECT["tool"]["mypy"]["packages"] == SHIPPED
+    assert PROJECT["tool"]["mypy"]["files"][: len(SHIPPED)] == SHIPPED
     assert re.search(r"^PACKAGES := (.*)$", MAKEFILE, re.M)[1].split() == SHIPPED
 
 
