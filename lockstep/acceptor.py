@@ -1,7 +1,7 @@
-"""The door: takes newcomers' hellos on a thread of its own, beside the run.
+"""The acceptor: takes pending connections' hellos on a thread of its own, beside the run.
 
-A newcomer has a few seconds and a small buffer for its hello. Whatever it does, only a valid hello
-leads any further; everything else ends with a closed connection and a line in the log.
+A pending connection has a few seconds and a small buffer for its hello. Only a valid hello leads
+any further; everything else ends with a closed connection and a line in the log.
 """
 
 import contextlib
@@ -63,9 +63,9 @@ class PendingConnection:
     """A connection that has not said a valid hello yet."""
 
     def __init__(self, sock: socket.socket, peer: str, deadline: float) -> None:
-        """A newcomer who has until `deadline` (monotonic, s) to say hello."""
+        """A pending connection who has until `deadline` (monotonic, s) to say hello."""
         self.sock, self.peer, self.deadline = sock, peer, deadline
-        self.wire = FrameStream(sock, HELLO_SIZE)
+        self.stream = FrameStream(sock, HELLO_SIZE)
         self._shaken = not isinstance(sock, ssl.SSLSocket)
 
     def recv(self) -> Hello | None:
@@ -76,11 +76,11 @@ class PendingConnection:
             except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
                 return None
             self._shaken = True
-        frame = self.wire.receive()
+        frame = self.stream.receive()
         if frame is None:
             return None
         message = decode(frame)
-        if not isinstance(message, Hello) or self.wire.surplus:
+        if not isinstance(message, Hello) or self.stream.surplus:
             raise FrameError("the first frame must be a hello, and nothing may follow it")
         return message
 
@@ -91,34 +91,34 @@ class Acceptor(threading.Thread):
     def __init__(
         self, listener: socket.socket, handshake_s: float, context: ssl.SSLContext | None
     ) -> None:
-        """A door that is still shut; `start` opens it."""
-        super().__init__(name="link-door", daemon=True)
+        """An acceptor that is not yet listening; `start` begins."""
+        super().__init__(name="link-acceptor", daemon=True)
         self.admission: RoundCredentials | None = None
-        self.arrivals: deque[AcceptedClient] = deque()
+        self.accepted: deque[AcceptedClient] = deque()
         self.wakeup, self._wakeup_sender = socket.socketpair()
         self._listener, self._handshake_s, self._context = listener, handshake_s, context
         self._halt, self._halter = socket.socketpair()
-        self._newcomers: dict[int, PendingConnection] = {}
+        self._pending: dict[int, PendingConnection] = {}
         self._selector = selectors.DefaultSelector()
         for sock in (listener, self.wakeup, self._wakeup_sender, self._halt):
             sock.setblocking(False)
 
     def run(self) -> None:
-        """Until `shut`, serve whoever comes; no newcomer can end or block this."""
+        """Until `shut`, serve whoever comes; no pending connection can end or block this."""
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._selector.register(self._halt, selectors.EVENT_READ)
         while True:
-            first = min((n.deadline for n in self._newcomers.values()), default=None)
+            first = min((n.deadline for n in self._pending.values()), default=None)
             wait = None if first is None else max(0.0, first - time.monotonic())
             for key, _ in self._selector.select(wait):
                 if key.fileobj is self._halt:
                     return
                 if key.fileobj is self._listener:
                     self._open()
-                elif key.fd in self._newcomers:
-                    self._hear(self._newcomers[key.fd])
+                elif key.fd in self._pending:
+                    self._hear(self._pending[key.fd])
             now = time.monotonic()
-            for late in [n for n in self._newcomers.values() if n.deadline <= now]:
+            for late in [n for n in self._pending.values() if n.deadline <= now]:
                 self._turn_away(late, "said no hello in time")
 
     def shut(self) -> None:
@@ -126,16 +126,16 @@ class Acceptor(threading.Thread):
         if self.is_alive():
             self._halter.send(b"x")
             self.join()
-        for newcomer in self._newcomers.values():
-            newcomer.wire.close()
-        while self.arrivals:
-            self.arrivals.popleft().sock.close()
+        for pending_connection in self._pending.values():
+            pending_connection.stream.close()
+        while self.accepted:
+            self.accepted.popleft().sock.close()
         self._selector.close()
         for sock in (self._listener, self.wakeup, self._wakeup_sender, self._halt, self._halter):
             sock.close()
 
     def _open(self) -> None:
-        """Accept one newcomer."""
+        """Accept one pending connection."""
         try:
             sock, address = self._listener.accept()
         except OSError as error:
@@ -151,46 +151,48 @@ class Acceptor(threading.Thread):
                     sock, server_side=True, do_handshake_on_connect=False
                 )
             peer = f"{address[0]}:{address[1]}"
-            newcomer = PendingConnection(sock, peer, time.monotonic() + self._handshake_s)
+            pending_connection = PendingConnection(sock, peer, time.monotonic() + self._handshake_s)
             self._selector.register(sock, selectors.EVENT_READ)
         except (OSError, ValueError) as error:
             log.warning("a connection was closed: %s", described(error))
             sock.close()
             return
-        self._newcomers[sock.fileno()] = newcomer
-        if len(self._newcomers) > MAX_PENDING:
-            self._turn_away(next(iter(self._newcomers.values())), "made room for others")
+        self._pending[sock.fileno()] = pending_connection
+        if len(self._pending) > MAX_PENDING:
+            self._turn_away(next(iter(self._pending.values())), "made room for others")
 
-    def _hear(self, newcomer: PendingConnection) -> None:
-        """Let a newcomer speak; nothing that it says may do harm."""
+    def _hear(self, pending_connection: PendingConnection) -> None:
+        """Let a pending connection speak; nothing that it says may do harm."""
         try:
-            hello = newcomer.recv()
+            hello = pending_connection.recv()
             if hello is not None:
-                self._judge(newcomer, hello)
+                self._judge(pending_connection, hello)
         except Exception as error:
-            self._turn_away(newcomer, described(error))
+            self._turn_away(pending_connection, described(error))
 
-    def _judge(self, newcomer: PendingConnection, hello: Hello) -> None:
-        """Hand a newcomer over to the run, or tell it why not."""
+    def _judge(self, pending_connection: PendingConnection, hello: Hello) -> None:
+        """Hand a pending connection over to the run, or refuse it with the reason."""
         admission = self.admission
         reason = "no round is open" if admission is None else admission.refusal(hello)
         if admission is None or reason is not None:
-            newcomer.wire.send(encode(Rejection(str(reason))), 0.0)
-            self._turn_away(newcomer, f"refused: {reason}")
+            pending_connection.stream.send(encode(Rejection(str(reason))), 0.0)
+            self._turn_away(pending_connection, f"refused: {reason}")
             return
-        newcomer.wire.send(encode(Welcome()), 0.0)
-        self._forget(newcomer)
-        self.arrivals.append(AcceptedClient(admission, tuple(hello.robots), newcomer.sock))
+        pending_connection.stream.send(encode(Welcome()), 0.0)
+        self._forget(pending_connection)
+        self.accepted.append(
+            AcceptedClient(admission, tuple(hello.robots), pending_connection.sock)
+        )
         with contextlib.suppress(BlockingIOError):
             self._wakeup_sender.send(b"x")
 
-    def _turn_away(self, newcomer: PendingConnection, reason: str) -> None:
+    def _turn_away(self, pending_connection: PendingConnection, reason: str) -> None:
         """Close a connection and say why."""
-        log.warning("connection from %s closed: %s", newcomer.peer, reason)
-        self._forget(newcomer)
-        newcomer.wire.close()
+        log.warning("connection from %s closed: %s", pending_connection.peer, reason)
+        self._forget(pending_connection)
+        pending_connection.stream.close()
 
-    def _forget(self, newcomer: PendingConnection) -> None:
-        """Listen to a newcomer no more."""
-        self._selector.unregister(newcomer.sock)
-        del self._newcomers[newcomer.sock.fileno()]
+    def _forget(self, pending_connection: PendingConnection) -> None:
+        """Listen to a pending connection no more."""
+        self._selector.unregister(pending_connection.sock)
+        del self._pending[pending_connection.sock.fileno()]

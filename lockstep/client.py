@@ -112,19 +112,19 @@ def _entered(
 class _Line:
     """Messages from and to the server, and what it means when they stop."""
 
-    def __init__(self, wire: FrameStream, timeout_s: float) -> None:
+    def __init__(self, stream: FrameStream, timeout_s: float) -> None:
         """A line over a socket that has this timeout."""
-        self.wire, self._timeout_s = wire, timeout_s
+        self.stream, self._timeout_s = stream, timeout_s
 
     def wait_up_to(self, timeout_s: float) -> None:
         """Bear this much silence from now on."""
         self._timeout_s = timeout_s
-        self.wire.set_timeout(timeout_s)
+        self.stream.set_timeout(timeout_s)
 
     def recv(self) -> Message:
         """The server's next message; its arrays are the caller's to keep."""
         try:
-            frame = self.wire.receive()
+            frame = self.stream.receive()
         except TimeoutError:
             frame = None
         except (OSError, EOFError) as error:
@@ -136,27 +136,27 @@ class _Line:
     def send(self, frame: bytes) -> None:
         """Send a frame."""
         try:
-            self.wire.send(frame, self._timeout_s)
+            self.stream.send(frame, self._timeout_s)
         except OSError as error:
             raise Disconnected(f"the server has gone: {described(error)}") from error
 
 
 def _attend(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
-    """Serve steps until the farewell; what goes wrong here is told to the server.
+    """Serve steps until the end of the round; errors here are reported to the server.
 
-    A process that is told to stop has not failed: to the server it is lost, and may come back.
+    SIGTERM is reported as a lost connection, not as an error, so that the robot may reconnect.
     """
     try:
         _converse(line, handler, count, n_parameters)
     except (ServerLost, SystemExit, KeyboardInterrupt):
         raise
     except BaseException as error:
-        line.wire.finish(encode(Failure(described(error))), linger_s=1.0)
+        line.stream.finish(encode(Failure(described(error))), linger_s=1.0)
         raise
 
 
 def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
-    """Serve steps until the farewell."""
+    """Serve steps until the end of the round."""
     uploaded = -1
     while True:
         message = line.recv()

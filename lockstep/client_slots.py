@@ -33,7 +33,7 @@ class ClientSlot:
     """One client's place in the round, whether or not it is taken."""
 
     def __init__(self, block: tuple[int, ...], shape: tuple[int, int], stats: BlockStats) -> None:
-        """A free seat for the client that holds the robots of `block`."""
+        """A free slot for the client that holds the robots of `block`."""
         self.block = block
         self.rows = rows_of(block)
         self._cuts = [slice(k * RECORD, (k + 1) * RECORD) for k in block]
@@ -42,13 +42,13 @@ class ClientSlot:
         self.upload_shape = (len(block), *shape)
         self.limit = max(TEXT_SIZE, actions_size(len(block)), weights_size(self.upload_shape))
         self.stats = stats
-        self.wire: FrameStream | None = None
+        self.stream: FrameStream | None = None
         self.awaited = False
         self.windows: frozenset[int] = frozenset()  # of its last `Ready`
         self.stale = False  # what comes is older than the last `Halt` or `Begin`
 
     def records(self, fleet: bytes) -> bytes:
-        """This seat's part of the bytes of all robots' UPDATE records."""
+        """This slot's part of the bytes of all robots' UPDATE records."""
         if len(self._cuts) == 1:
             return fleet[self._cuts[0]]
         return b"".join([fleet[cut] for cut in self._cuts])

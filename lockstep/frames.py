@@ -2,7 +2,7 @@
 
 A frame is a header of 12 bytes (magic, version, kind, zero, length of the body; little-endian)
 and a body of fixed layout. `HELLO` (JSON) and `REFUSED` (UTF-8) keep their layout in all versions
-and are read whatever version the header names, so that two versions can tell each other apart.
+and are read whatever version the header names, so that two versions recognise each other.
 Readers of the JSON bodies ignore keys that they do not know.
 """
 

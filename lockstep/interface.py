@@ -35,7 +35,7 @@ class Robots(Protocol):
 
 
 def answer(handler: Robots, step: Step, n_parameters: int | None) -> np.ndarray | None:
-    """What a handler answers to a step, checked: actions, weights, or nothing to a farewell.
+    """What a handler answers to a step, checked: actions, weights, or None at the end of a round.
 
     Args:
         handler: of n robots.
@@ -96,7 +96,7 @@ class ProtocolState:
         self._next = "send_step"
 
     def __str__(self) -> str:
-        """For messages: which tick and window, or that nothing was told yet."""
+        """For messages: which tick and window, or that there was no step yet."""
         if self.tick < 0:
             return "before the first step"
         return f"at tick {self.tick}, window {self.window}"
@@ -104,7 +104,7 @@ class ProtocolState:
     def on_step(self, tick: int, window: int, expect: Expect) -> None:
         """A step goes out."""
         if self._next not in ("send_step", "download"):
-            raise ProtocolError(f"a step for tick {tick} is told where {self._next} is due, {self}")
+            raise ProtocolError(f"a step for tick {tick} where {self._next} is due, {self}")
         self.tick, self.window = tick, window
         self._next = _AFTER[expect]
 

@@ -26,19 +26,18 @@ class LocalFleet:
     """A `Fleet` of handlers in this process, called one after the other.
 
     Handlers see the same calls as over TCP. What one of them raises comes out as `RobotFailed`,
-    at once and not only where its answer is asked for. Weights are taken where they are asked for:
-    in a stack of several runs, robots learn after they have been told.
+    at once and not only where its answer is due. Weights are taken where they are due.
     """
 
     def __init__(self, handlers: Sequence[tuple[tuple[int, ...], Robots]]) -> None:
-        """A fleet that has not been told anything yet.
+        """A fleet before its first step.
 
         Args:
             handlers: each with the robots that it holds; together 0..K-1.
         """
         self._robots = robot_count([block for block, _ in handlers])
         self._handlers = [(tuple(block), rows_of(block), handler) for block, handler in handlers]
-        self._turn = ProtocolState()
+        self._protocol = ProtocolState()
         self._answers: list[NDArray[np.int32]] = []
         self._parameters: int | None = None
         self._closed = False
@@ -47,7 +46,7 @@ class LocalFleet:
         """See `Fleet.send_step`."""
         self._check_open()
         checked_updates(updates, self._robots)
-        self._turn.on_step(tick, window, expect)
+        self._protocol.on_step(tick, window, expect)
         answers = self._answers = []
         for block, rows, handler in self._handlers:
             step = Step(tick, window, expect, updates[rows].copy())
@@ -59,20 +58,20 @@ class LocalFleet:
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
         self._check_open()
-        self._turn.on_actions(tick)
+        self._protocol.on_actions(tick)
         return self._gathered(self._answers, np.empty(self._robots, np.int32))
 
     def upload(self, window: int) -> NDArray[np.float32]:
         """See `Fleet.upload`."""
         self._check_open()
-        self._turn.on_upload(window)
+        self._protocol.on_upload(window)
         return self._uploaded()
 
     def download(self, window: int, weights: NDArray[np.float32]) -> None:
         """See `Fleet.download`."""
         self._check_open()
         checked_weights(weights, (2, self._parameters or 0))
-        self._turn.on_download(window)
+        self._protocol.on_download(window)
         for block, _, handler in self._handlers:
             with self._failing(block):
                 handler.download(window, weights.copy())
@@ -80,7 +79,7 @@ class LocalFleet:
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`."""
         self._check_open()
-        self._turn = ProtocolState()
+        self._protocol = ProtocolState()
         for block, _, handler in self._handlers:
             with self._failing(block):
                 handler.begin(window, None if model is None else model.copy())
@@ -112,7 +111,7 @@ class LocalFleet:
         try:
             yield
         except Exception as error:
-            raise RobotFailed(block, str(self._turn), described(error)) from error
+            raise RobotFailed(block, str(self._protocol), described(error)) from error
 
     def _check_open(self) -> None:
         if self._closed:

@@ -40,7 +40,7 @@ class LinkServer:
             port: 0 picks a free one, see `address`.
             fingerprint: of the software; clients must have the same.
             timeout_s: the longest wait for an answer, in s.
-            handshake_s: what a newcomer has to say hello, in s.
+            handshake_s: what a pending connection has to say hello, in s.
             server_context: for TLS; none, no TLS.
 
         Raises:
@@ -57,8 +57,8 @@ class LinkServer:
         self._exchange: ServerRound | None = None
         self._robots = 0
         self._shape = (0, 0)
-        self._door = Acceptor(listener, handshake_s, server_context)
-        self._door.start()
+        self._acceptor = Acceptor(listener, handshake_s, server_context)
+        self._acceptor.start()
 
     @property
     def address(self) -> tuple[str, int]:
@@ -83,17 +83,17 @@ class LinkServer:
             raise ValueError(f"no token for robots {missing}")
         self._part("a new round has begun")
         self._robots, self._shape = robots, weights_shape
-        seats = [
+        slots = [
             ClientSlot(block, weights_shape, self._stats.setdefault(block, BlockStats()))
             for block in map(tuple, blocks)
         ]
         admission = RoundCredentials(
-            self._fingerprint, tuple(seat.block for seat in seats), dict(tokens)
+            self._fingerprint, tuple(slot.block for slot in slots), dict(tokens)
         )
         self._exchange = ServerRound(
-            admission, seats, self._door.arrivals, self._door.wakeup, self._timeout_s
+            admission, slots, self._acceptor.accepted, self._acceptor.wakeup, self._timeout_s
         )
-        self._door.admission = admission
+        self._acceptor.admission = admission
 
     def wait_connected(self, deadline_s: float, poll: Callable[[], None] | None = None) -> None:
         """Wait until all clients of the round are connected.
@@ -110,7 +110,7 @@ class LinkServer:
 
     def free(self) -> list[tuple[int, ...]]:
         """The blocks of the round whose client is not connected, as far as has been noticed."""
-        return [seat.block for seat in self._open.free()]
+        return [slot.block for slot in self._open.free()]
 
     def renew(self, block: tuple[int, ...], tokens: Mapping[int, str]) -> None:
         """Let a block's robots in with these tokens only: a client that has older ones is out."""
@@ -129,7 +129,7 @@ class LinkServer:
 
     def kept(self) -> dict[tuple[int, ...], frozenset[int]]:
         """The windows of which each client has its robots' checkpoints, as `halt` has found."""
-        return {block: seat.windows for block, seat in self._open.seats.items()}
+        return {block: slot.windows for block, slot in self._open.slots.items()}
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`; once all clients are connected, whatever was under way."""
@@ -139,20 +139,20 @@ class LinkServer:
         """See `Fleet.send_step`."""
         exchange = self._open
         records = checked_updates(updates, self._robots).tobytes()
-        exchange.turn.on_step(tick, window, expect)
+        exchange.protocol.on_step(tick, window, expect)
         awaited = expect is not Expect.END_ROUND
-        for seat in exchange.seats.values():
-            frame = step_frame(tick, window, expect, seat.records(records))
-            exchange.send(seat, frame, awaited)
+        for slot in exchange.slots.values():
+            frame = step_frame(tick, window, expect, slot.records(records))
+            exchange.send(slot, frame, awaited)
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
         exchange = self._open
-        exchange.turn.on_actions(tick)
+        exchange.protocol.on_actions(tick)
         result = np.empty(self._robots, np.int32)
 
-        def accept(seat: ClientSlot, frame: memoryview) -> None:
-            result[seat.rows] = actions_in(frame, tick, len(seat.block))
+        def accept(slot: ClientSlot, frame: memoryview) -> None:
+            result[slot.rows] = actions_in(frame, tick, len(slot.block))
 
         exchange.gather(accept)
         return result
@@ -160,20 +160,20 @@ class LinkServer:
     def upload(self, window: int) -> NDArray[np.float32]:
         """See `Fleet.upload`."""
         exchange = self._open
-        exchange.turn.on_upload(window)
+        exchange.protocol.on_upload(window)
         result = np.empty((self._robots, *self._shape), np.float32)
 
-        def accept(seat: ClientSlot, frame: memoryview) -> None:
+        def accept(slot: ClientSlot, frame: memoryview) -> None:
             message = decode(frame)
             if not isinstance(message, Weights) or message.window != window:
                 raise FrameError(
                     f"{type(message).__name__} where weights of window {window} are due"
                 )
-            if message.weights.shape != seat.upload_shape:
+            if message.weights.shape != slot.upload_shape:
                 raise FrameError(
-                    f"weights of shape {message.weights.shape}, not {seat.upload_shape}"
+                    f"weights of shape {message.weights.shape}, not {slot.upload_shape}"
                 )
-            result[seat.rows] = message.weights
+            result[slot.rows] = message.weights
 
         exchange.gather(accept)
         return result
@@ -182,18 +182,18 @@ class LinkServer:
         """See `Fleet.download`."""
         exchange = self._open
         frame = encode(Weights(window, checked_weights(weights, self._shape)))
-        exchange.turn.on_download(window)
-        for seat in exchange.seats.values():
-            exchange.send(seat, frame, awaited=False)
+        exchange.protocol.on_download(window)
+        for slot in exchange.slots.values():
+            exchange.send(slot, frame, awaited=False)
 
     def stats(self) -> dict[tuple[int, ...], BlockStats]:
         """What each client has cost so far, over all rounds: bytes, frames, seconds waited."""
         return dict(self._stats)
 
     def close(self, reason: str = "the server has closed the link") -> None:
-        """End the round, tell the clients why, and stop listening."""
+        """End the round with a reason for the clients, and stop listening."""
         self._part(reason)
-        self._door.shut()
+        self._acceptor.shut()
 
     @property
     def _open(self) -> ServerRound:
@@ -204,7 +204,7 @@ class LinkServer:
 
     def _part(self, reason: str) -> None:
         """End the round, if there is one."""
-        self._door.admission = None
+        self._acceptor.admission = None
         if self._exchange is not None:
             self._exchange.part(reason)
             self._exchange = None

@@ -4,7 +4,6 @@
 |---|---|
 | `session` | one training run, everything but where the robots are |
 | `coordinator` | Algorithm 1 of the paper against a `lockstep.Fleet` |
-| `cooperative` | work that pauses, so that others may be served |
 | `controllers` | who steers the RIS: access point, one agent for everything, rules, frozen |
 | `aggregation` | Flower's strategies over rows of weights; the only place that imports Flower |
 | `evaluation` | frozen weights on held-out starts |

@@ -87,7 +87,7 @@ class RawClient:
 
     def __init__(self, server):
         self.sock = socket.create_connection(server.address, timeout=PATIENCE_S)
-        self.wire = FrameStream(self.sock, 2**20)
+        self.stream = FrameStream(self.sock, 2**20)
 
     def send(self, message):
         self.sock.sendall(message if isinstance(message, bytes) else encode(message))
@@ -103,7 +103,7 @@ class RawClient:
         return self.send(Hello(**fields | changes))
 
     def receive(self):
-        frame = self.wire.receive()
+        frame = self.stream.receive()
         return bytes(frame)
 
     def at_end(self):

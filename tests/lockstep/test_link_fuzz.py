@@ -82,20 +82,20 @@ def test_no_frame_makes_the_parser_take_much_more_memory_than_the_frame(kind, fi
 
 @run_often
 @given(st.lists(valid_frames, max_size=4), st.binary(max_size=20), st.data())
-def test_a_wire_gives_whole_frames_however_they_are_cut(sent, rest, data):
+def test_a_stream_gives_whole_frames_however_they_are_cut(sent, rest, data):
     limit = 2**12
     sent = [frame for frame in sent if len(frame) <= limit]
-    stream = b"".join(sent) + rest
+    left = b"".join(sent) + rest
     ours, theirs = socket.socketpair()
     with ours, theirs:
         ours.setblocking(False)
-        wire = FrameStream(ours, limit)
+        stream = FrameStream(ours, limit)
         got: list[Any] = []
-        while stream and len(got) < len(sent):
+        while left and len(got) < len(sent):
             cut = data.draw(st.integers(1, 200))
-            theirs.sendall(stream[:cut])
-            stream = stream[cut:]
-            while len(got) < len(sent) and (frame := wire.receive()) is not None:
+            theirs.sendall(left[:cut])
+            left = left[cut:]
+            while len(got) < len(sent) and (frame := stream.receive()) is not None:
                 got.append(bytes(frame))
     assert got == sent
 

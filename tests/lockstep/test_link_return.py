@@ -132,8 +132,8 @@ def test_a_client_comes_back_by_itself_when_its_connection_breaks(link):
     cut, other = link.client((0,), reconnect_timeout_s=PATIENCE_S), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
     ask(link.server, 2, 0)
-    seat = link.server._open.seats[(0,)]
-    seat.wire._sock.shutdown(socket.SHUT_RDWR)
+    slot = link.server._open.slots[(0,)]
+    slot.stream._sock.shutdown(socket.SHUT_RDWR)
     with pytest.raises(RobotLost, match="robot 0 lost"):
         ask_for_ever(link.server, 2)
     link.server.wait_connected(PATIENCE_S)
@@ -148,8 +148,8 @@ def test_a_server_that_has_died_is_not_waited_for(link):
     client = link.client((0,), reconnect_timeout_s=600.0)
     link.server.wait_connected(PATIENCE_S)
     ask(link.server, 1, 0)
-    link.server._door.shut()
-    link.server._open.seats[(0,)].wire.close()  # as when its process is killed: without a word
+    link.server._acceptor.shut()
+    link.server._open.slots[(0,)].stream.close()  # as when its process is killed: without a word
     error = client.join()
     assert isinstance(error, ServerLost)
     assert "Connection refused" in str(error)
@@ -157,7 +157,7 @@ def test_a_server_that_has_died_is_not_waited_for(link):
 
 def test_without_a_time_to_return_a_broken_connection_is_the_end(link):
     (client,) = link.connected((0,))
-    link.server._open.seats[(0,)].wire._sock.shutdown(socket.SHUT_RDWR)
+    link.server._open.slots[(0,)].stream._sock.shutdown(socket.SHUT_RDWR)
     assert isinstance(client.join(), Disconnected)
 
 
