@@ -75,9 +75,12 @@ def composed(overrides: Sequence[Override]) -> Config:
     node = _composed_on(plan, lines(overrides))
     if node.env.plan != plan:  # a group's file names another one
         node = _composed_on(node.env.plan, lines(overrides))
-    for key in PATHS:
-        if isinstance(path := OmegaConf.select(node, key), str):
-            OmegaConf.update(node, key, os.path.expanduser(path))
+    try:
+        for key in PATHS:
+            if isinstance(path := OmegaConf.select(node, key), str):
+                OmegaConf.update(node, key, os.path.expanduser(path))
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{first_sentence(error)}.") from error
     return from_node(node)
 
 

@@ -15,20 +15,15 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from conf.errors import ConfigError, first_sentence, shown
+from conf.errors import ConfigError, shown
 from conf.schema import Config
 from conf.user_paths import PATHS, with_quoted_path
 from env.texts import read_unmarked_text
+from env.validate import hints_of, refused
 
 FOLDER = Path(__file__).parent
 GROUPS = ("env", "agent", "strategy", "runtime", "baseline", "experiment")
 PLACES = ("hydra.sweep.dir", "hydra.sweep.subdir", "hydra.run.dir")
-_KINDS = {
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    str: "a name",
-}
 
 
 def parse(texts: Sequence[str], *, sweep: bool = False, launcher: bool = False) -> list[Override]:
@@ -100,7 +95,8 @@ def combinations(overrides: Sequence[Override]) -> list[list[str]]:
                 else [override.get_value_element_as_str()]
             )
         except HydraException as error:
-            raise ConfigError(f"{override.input_line}: {first_sentence(error)}.") from error
+            say = "allowed in a sweep are values, as in KEY=A,B,C, or range(...)"
+            raise ConfigError(f"{override.input_line}: {say}.") from error
         axes.append([f"{key}={value}" for value in values])
     return [list(combination) for combination in itertools.product(*axes)]
 
@@ -200,15 +196,23 @@ def _check_value(key: str, override: Override, schema: DictConfig) -> None:
         )
     if key in PATHS and override.value() == "":
         raise ConfigError.of([(key, "", "a path")])
+    value, hint = override.value(), _hint(key)
     try:
-        OmegaConf.update(schema, key, override.value())
+        OmegaConf.update(schema, key, value)
     except OmegaConfBaseException as error:
-        if default is None:
-            kind = "a whole number" if "int" in first_sentence(error).lower() else "a value"
-            kind += " or null"
-        else:
-            kind = _KINDS.get(type(default)) or f"a list such as {shown(default)}"
-        raise ConfigError.of([(key, override.value(), kind)]) from error
+        kind = refused(value, hint)
+        if isinstance(default, list):
+            kind = f"a list such as {shown(default)}"
+        raise ConfigError.of([(key, value, kind)]) from error
+    if value == "???":  # to OmegaConf a value that is still to come
+        raise ConfigError.of([(key, value, refused(value, hint) or "a value")])
+
+
+def _hint(key: str) -> Any:
+    """The annotation of a key's field."""
+    *above, name = key.split(".")
+    group: type = type(check_key(".".join(above)) if above else Config())
+    return hints_of(group)[name]
 
 
 def _unknown_key(key: str, siblings: Sequence[str]) -> str:

@@ -17,6 +17,9 @@ PATHS = ("run.dir", "env.plan")
 RESUME = "resume"
 """Names the folder of a run that goes on; it is no key of a run."""
 
+_FUNCTION = re.compile(r"(choice|glob|range|shuffle|sort)\(")
+_VALUE = re.compile(r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,]+""")
+"""One of several values with commas between them; a quoted one may hold some."""
 _OVERRIDE = re.compile(r"(?P<key>\+{0,2}[\w.]+)=(?P<value>.*)", re.DOTALL)
 
 
@@ -40,12 +43,17 @@ def with_quoted_path(text: str, *, several: bool = False) -> str:
     if found is None or found["key"].lstrip("+") not in PATHS or found["value"] == "null":
         return text
     values = [found["value"]]
-    if several and found["key"].lstrip("+") == "env.plan":
-        if _is_parsed(text):
+    plans = found["key"].lstrip("+") == "env.plan"
+    if several and plans and not user_path(found["value"]).exists():
+        if _FUNCTION.match(found["value"]):
             return text
-        values = found["value"].split(",")
-    quoted = [QuotedString(str_path(value), Quote.single).with_quotes() for value in values]
-    return f"{found['key']}={','.join(quoted)}"
+        values = _VALUE.findall(found["value"])
+    return f"{found['key']}={','.join(quoted(str_path(value)) for value in values)}"
+
+
+def quoted(text: str) -> str:
+    """A text as Hydra takes it as it is, but for interpolations."""
+    return QuotedString(text, Quote.single).with_quotes()
 
 
 def str_path(text: str) -> str:
@@ -73,12 +81,3 @@ def _unquoted(text: str) -> str:
     except HydraException:
         return text
     return value if isinstance(value, str) else text
-
-
-def _is_parsed(text: str) -> bool:
-    """Whether Hydra can read an override."""
-    try:
-        OverridesParser.create().parse_override(text)
-    except HydraException:
-        return False
-    return True

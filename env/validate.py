@@ -59,7 +59,7 @@ def value_problems(config: Any, above: str = "") -> Iterator[Problem]:
         key, value = f"{above}{item.name}", getattr(config, item.name)
         if is_dataclass(value):
             yield from value_problems(value, f"{key}.")
-        elif say := refused(value, _annotated(config.__class__)[item.name]):
+        elif say := refused(value, hints_of(config.__class__)[item.name]):
             yield key, value, say
 
 
@@ -100,7 +100,7 @@ def one_of(names: Sequence[str]) -> str:
 def comments(schema: type) -> Mapping[str, str]:
     """What stands at each field for a reader, by its name; the choices where nothing does."""
     found = {}
-    for name, hint in _annotated(schema).items():
+    for name, hint in hints_of(schema).items():
         marks = _parts(hint)[1]
         choices = [one_of(get_args(mark)) for mark in marks if get_origin(mark) is Literal]
         found[name] = "; ".join([*choices, *(mark for mark in marks if isinstance(mark, str))])
@@ -108,7 +108,8 @@ def comments(schema: type) -> Mapping[str, str]:
 
 
 @cache
-def _annotated(schema: type) -> dict[str, Any]:
+def hints_of(schema: type) -> dict[str, Any]:
+    """The annotation of each field, marks included."""
     return get_type_hints(schema, include_extras=True)
 
 

@@ -93,7 +93,10 @@ def find_run_state(config: Config, folder: RunFolder) -> dict[str, Any] | Checkp
     if found is None:
         try:
             checkpoint = _checkpoint(folder, own)
-        except CheckpointError:
+        except CheckpointError as error:
+            if folder.has_ended:
+                allowed = f"a folder whose run has a checkpoint to go on from ({error})"
+                raise ConfigError.of([("run.dir", folder, allowed)]) from error
             return None
         found, over = checkpoint, _is_over(config, *_counts(checkpoint))
     if over and own.train != config.train:
@@ -103,8 +106,12 @@ def find_run_state(config: Config, folder: RunFolder) -> dict[str, Any] | Checkp
 
 def _ended(config: Config, folder: RunFolder) -> dict[str, Any] | None:
     """What ``summary.json`` holds if the run has come to its end."""
-    summary = folder.read_summary()
-    return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
+    try:
+        summary = folder.read_summary()
+        return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
+    except (LookupError, TypeError, ValueError) as error:
+        allowed = "a folder whose summary.json is whole"
+        raise ConfigError.of([("run.dir", folder, allowed)]) from error
 
 
 def same(one: Config, other: Config, *, until: bool = True) -> bool:

@@ -16,6 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from conf import ConfigError, register_schema
 from conf.overrides import FOLDER
+from conf.user_paths import quoted
 
 DEFAULT = "hydra/launcher=joblib"
 
@@ -40,7 +41,7 @@ def build_launcher(
         # A job each time a process is free: jobs are few and long.
         own = [f"hydra.launcher.n_jobs={workers}", "hydra.launcher.pre_dispatch=n_jobs", *own]
     quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null"]
-    where = [f"hydra.sweep.dir={place}", "hydra.sweep.subdir=."]
+    where = [f"hydra.sweep.dir={quoted(str(place))}", "hydra.sweep.subdir=."]
     register_schema()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(FOLDER), version_base="1.3", job_name="risfleet"):

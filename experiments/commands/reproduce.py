@@ -16,9 +16,11 @@ from conf import ConfigError
 from conf.overrides import is_hydras, lines, parse
 from conf.user_paths import user_path
 from env.plugins import PluginError
+from experiments.batch.launcher import DEFAULT
 from experiments.batch.train import BatchOutcome
 from experiments.console.arguments import positive
 from experiments.console.mishaps import in_words
+from experiments.console.plain import PLAIN
 from experiments.reproduce.jobs.runner import Plan, train
 from experiments.reproduce.results.runs import Runs
 from experiments.reproduce.targets import manifest
@@ -46,7 +48,9 @@ def main(arguments: Sequence[str]) -> int:
     out = given.out or Path("reproduce-quick" if given.quick else "reproduce")
     try:
         ours, hydra = _overrides(given.overrides)
-        if given.jobs and any(item.startswith("hydra/launcher=") for item in hydra):
+        if given.jobs and any(
+            item.startswith("hydra/launcher=") and item != DEFAULT for item in hydra
+        ):
             raise ConfigError(f"--jobs {given.jobs}: allowed with Hydra's launcher joblib alone.")
         targets = _targets(given.target)
         cells = {t.name: with_overrides(t.cells(given.quick), ours) for t in targets}
@@ -88,7 +92,7 @@ def _report(
                 path.read_text(encoding="utf-8-sig"), markup=False, highlight=False, soft_wrap=True
             )
     for path in files:
-        console.print(f"  {path}", highlight=False, soft_wrap=True)
+        console.print(f"  {path}", **PLAIN)
 
 
 def _said(outcome: BatchOutcome, console: Console) -> int:

@@ -12,10 +12,12 @@ from rich.console import Console
 
 from conf import Config, ConfigError
 from conf.overrides import combinations, is_hydras, lines, parse
+from conf.user_paths import pasted
 from experiments.batch import train as batch
 from experiments.batch.launcher import build_launcher
-from experiments.batch.states import check_folder
-from experiments.runtimes.folders import dated, made, run_lock
+from experiments.batch.states import check_folder, folder_of
+from experiments.console.plain import PLAIN
+from experiments.runtimes.folders import check_unlocked, dated, made, run_lock
 from experiments.runtimes.runner import ERRORS, print_error, train_missing
 from training.preflight import checked_training
 from training.run_folder import RunFolder
@@ -73,12 +75,13 @@ def _one_by_one(configs: Sequence[Config]) -> int:
 
 def _at_once(configs: Sequence[Config], folder: Path, launcher: Sequence[str]) -> int:
     console = Console()
-    console.print(f"sweep folder: {folder}", highlight=False, soft_wrap=True)
+    console.print(f"sweep folder: {folder}", **PLAIN)
     outcome = batch.train(configs, folder, console, launcher)
     for run, why in outcome.failed.items():
         print(f"risfleet: {run} failed: {why}", file=sys.stderr)
     if outcome.signal:
-        console.print(f"Stopped early by {outcome.signal}: the same command goes on.")
+        again = f"the same command with {pasted(DIR, folder)}"
+        console.print(f"Stopped early by {outcome.signal}. To go on: {again}", **PLAIN)
     elif not outcome.status:
         console.print(f"all {len(outcome.done)} runs are there", highlight=False)
     return outcome.status
@@ -108,9 +111,11 @@ def _check_unused(folder: Path, configs: Sequence[Config]) -> None:
     Raises:
         ConfigError: it holds something else.
     """
-    held = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    left = {RunFolder(folder).stop_file.name, HYDRAS}
-    if (folder.exists() and not folder.is_dir()) or any(not name.isdigit() for name in held - left):
+    held = set(folder.iterdir()) if folder.is_dir() else set()
+    runs = {path for path in held if path.name.isdigit() and path.is_dir()}
+    left = {RunFolder(folder).stop_file, folder / HYDRAS}
+    if (folder.exists() and not folder.is_dir()) or held - runs - left:
         raise ConfigError.of([(DIR, folder, "a folder that is new or empty, or of this sweep")])
     for config in configs:
+        check_unlocked(folder_of(config))
         check_folder(config)

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from experiments.console.mishaps import in_words
+from experiments.console.plain import PLAIN
 from training.recording.history import MEASURES
 from training.run_folder import RunFolder
 
@@ -168,7 +169,7 @@ class Display(Showing):
         line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
         if status["state"] == "waiting":
             line = f"waiting: {status['message']}"
-        self._console.print(line, highlight=False, soft_wrap=True)
+        self._console.print(line, **PLAIN)
 
 
 def _panel(status: dict[str, Any]) -> Table:
@@ -191,7 +192,7 @@ def evaluation_table(title: str, columns: dict[str, dict[str, float]]) -> Table:
         title: above the table.
         columns: from a column's name to its measures.
     """
-    table = Table(title=title, title_justify="left")
+    table = Table(title=Text(title), title_justify="left")
     table.add_column("")
     for name in columns:
         table.add_column(name, justify="right")
@@ -220,4 +221,4 @@ def show_summary(console: Console, summary: dict[str, Any], folder: RunFolder) -
     }
     console.print(evaluation_table(title, columns))
     for path in folder.results():
-        console.print(f"  {path}", highlight=False, soft_wrap=True)
+        console.print(f"  {path}", **PLAIN)

@@ -12,7 +12,10 @@ from pathlib import Path
 from types import TracebackType
 
 _ROOT = Path(__file__).parents[2]
-_PACKAGES = ("agent", "client_app", "conf", "env", "experiments", "server_app")
+_PACKAGES = (
+    *("agent", "client_app", "conf", "env", "experiments"),
+    *("lockstep", "server_app", "storage", "training"),
+)
 _ADVICE = {
     errno.ENOSPC: "make room there",
     errno.EDQUOT: "make room there",

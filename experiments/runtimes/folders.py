@@ -95,6 +95,17 @@ def run_lock(folder: Path) -> AbstractContextManager[None]:
     return folder_lock(folder, ("run.dir", folder, "a folder in which no run is going on"))
 
 
+def check_unlocked(folder: Path) -> None:
+    """Checks that no run is going on in a folder, there or not.
+
+    Raises:
+        ConfigError: one is.
+    """
+    if folder.is_dir():
+        with run_lock(folder):
+            pass
+
+
 @contextmanager
 def folder_lock(folder: Path, problem: tuple[str, object, str]) -> Iterator[None]:
     """Holds a folder for this process.

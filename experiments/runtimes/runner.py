@@ -15,6 +15,7 @@ from env.plugins import PluginError
 from experiments.console import notices
 from experiments.console.display import Display, show_summary
 from experiments.console.mishaps import in_words
+from experiments.console.plain import PLAIN
 from experiments.flower import FlowerError
 from experiments.runtimes import local, on_flower
 from experiments.runtimes.folders import prepare_run, run_lock
@@ -98,10 +99,14 @@ def train_quietly(config: Config) -> dict[str, Any]:
     """
     config, folder = prepare_run(config, RunFolder.of(config).path)
     with run_lock(folder.path):
-        config, found = _ready(config, folder)
-        if isinstance(found, dict):
-            return found
-        return RUNTIMES[config.runtime.name](config, folder, found)
+        try:
+            config, found = _ready(config, folder)
+            if isinstance(found, dict):
+                return found
+            return RUNTIMES[config.runtime.name](config, folder, found)
+        except Exception as error:
+            folder.report_failure(error)
+            raise
 
 
 def _ready(config: Config, folder: RunFolder) -> tuple[Config, dict[str, Any] | Checkpoint | None]:
@@ -126,7 +131,7 @@ def _train_shown(
     """Trains a run whose folder is held, with progress and signals."""
     if resumed is not None:
         for reason in resumed.passed_over:
-            console.print(f"passed over: {reason}", highlight=False, soft_wrap=True)
+            console.print(f"passed over: {reason}", **PLAIN)
         console.print(f"going on from window {resumed.window}", highlight=False)
     with StopSignals([folder.stop_file], console) as stop, Display(folder, console):
         try:
@@ -149,6 +154,6 @@ def _train_shown(
 def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, RunFolder]:
     """See ``prepare_run``; says where the run is."""
     config, own = prepare_run(config, folder)
-    console.print(f"run folder: {own}", highlight=False, soft_wrap=True)
+    console.print(f"run folder: {own}", **PLAIN)
     notices.show(config, console)
     return config, own

@@ -23,7 +23,10 @@ MISTAKES = [
     (["env.reward.goal=much"], "env.reward.goal=much: allowed is a number."),
     (["run.figures=maybe"], "run.figures=maybe: allowed is true or false."),
     (["agent.hidden=64"], "agent.hidden=64: allowed is a list"),
-    (["train.max_ticks=soon"], "train.max_ticks=soon: allowed is a whole number or null."),
+    (["train.max_ticks=soon"], "train.max_ticks=soon: allowed is a whole number, or null."),
+    (["env.robots=???"], "env.robots=???: allowed is a whole number."),
+    (["federation.link.tls=word"], "federation.link.tls=word: allowed is true or false, or null."),
+    (["run.dir=a${nothing}"], "Interpolation key 'nothing' not found"),
     # A wrong choice.
     (["env=warehouse"], "env=warehouse: allowed is one of default."),
     (["strategy=median"], "strategy=median: allowed is one of fedadam, fedavg, "),

@@ -95,6 +95,17 @@ def test_a_floor_plan_is_found_under_any_name(tmp_path: Path) -> None:
     assert compose([f"env.plan={plan}"]).env.room.width_m == 31.0
 
 
+def test_a_plans_name_may_hold_blanks_and_commas_in_a_sweep_too(tmp_path: Path) -> None:
+    plans = [tmp_path / "a b.toml", tmp_path / "it's, [mine].toml"]
+    for plan in plans:
+        plan.touch()
+        [override] = parse([f"env.plan={plan}"], sweep=True)
+        assert override.value() == str(plan)
+    listed = parse([f"env.plan=hall,{plans[0]},'{tmp_path}/c,d.toml'"], sweep=True)[0]
+    assert listed.is_sweep_override()
+    assert len(combinations([listed])) == 3
+
+
 def test_plans_are_listed_in_a_sweep_alone(tmp_path: Path) -> None:
     plan = tmp_path / "größe.toml"
     plan.touch()
@@ -119,7 +130,7 @@ def test_combinations_vary_the_last_key_fastest() -> None:
 
 
 def test_an_interval_cannot_be_listed() -> None:
-    with pytest.raises(ConfigError, match="interval"):
+    with pytest.raises(ConfigError, match=r"interval\(0,1\): allowed in a sweep are values"):
         combinations(parse(["agent.learning_rate=interval(0,1)"], sweep=True))
 
 

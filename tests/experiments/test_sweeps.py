@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -180,6 +181,53 @@ def test_a_run_that_never_reached_a_checkpoint_begins_again(tmp_path: Path) -> N
     assert summary(tmp_path / "sweep" / "0")["digest"] == first
 
 
+def test_a_run_that_is_going_on_elsewhere_is_left_alone(
+    tmp_path: Path, start: Start, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "sweep" / "0"
+    process = start(*ENDLESS, "seed=1", f"run.dir={run}", "state.every=100000", cwd=tmp_path)
+    wait_for(process, lambda: is_training(run))
+    sweep = ["train", "-m", *ENDLESS, "seed=1,2", "run.dir=sweep", "state.every=100000"]
+    for launcher in ([], [JOBLIB]):
+        assert main([*sweep, *launcher]) == 2
+        assert "allowed is a folder in which no run is going on" in capsys.readouterr().err
+    assert process.poll() is None
+    assert (run / "metrics.csv").exists()
+    assert not (run / "stop").exists()
+
+
+def test_a_run_with_results_and_no_checkpoint_is_not_trained_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 0
+    weights = (tmp_path / "sweep" / "0" / "weights.safetensors").read_bytes()
+    shutil.rmtree(tmp_path / "sweep" / "0" / "state")
+    longer = [*SMALL, "train.max_ticks=40", "seed=0,1", "run.dir=sweep"]
+    for launcher in ([], [JOBLIB]):
+        assert main(["train", "-m", *longer, *launcher]) == 2
+        assert "a checkpoint to go on from" in capsys.readouterr().err
+    assert (tmp_path / "sweep" / "0" / "weights.safetensors").read_bytes() == weights
+
+
+@pytest.mark.parametrize("text", ["{", "{}", "[]", '{"episodes": null, "ticks": 1}'])
+def test_a_damaged_summary_is_said_in_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 0
+    (tmp_path / "sweep" / "1" / "summary.json").write_text(text)
+    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 2
+    assert "a folder whose summary.json is whole" in capsys.readouterr().err
+
+
+def test_a_file_in_the_place_of_a_run_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "sweep").mkdir()
+    (tmp_path / "sweep" / "0").touch()
+    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 2
+    assert "new or empty, or of this sweep" in capsys.readouterr().err
+
+
 def test_a_damaged_run_of_a_sweep_is_refused_and_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -199,6 +247,15 @@ def test_one_folder_holds_a_sweep_whatever_its_values(
 
 
 # --- Launchers ------------------------------------------------------------------------------------
+
+
+def test_a_launcher_takes_any_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sweep = tmp_path / "it's, [my] {sweep} ü=1"
+    assert (
+        main(["train", "-m", "hydra/launcher=joblib", *SMALL, "seed=0,1", f"run.dir={sweep}"]) == 0
+    )
+    assert f"sweep folder: {sweep}" in capsys.readouterr().out
+    assert list(written_at(sweep)) == ["0", "1"]
 
 
 def test_a_sweep_on_every_core_has_the_status_of_its_worst_run(
@@ -227,7 +284,7 @@ def test_a_signal_ends_runs_on_every_core_with_what_they_have_learned(
     os.killpg(process.pid, number)  # as a terminal and as a batch system do
     printed, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == status, errors
-    assert "the same command goes on" in printed
+    assert "To go on: the same command with run.dir=" in printed
     assert [summary(folder)["stopped_early"] for folder in folders] == [True, True]
     states = [json.loads((folder / "progress.json").read_text())["state"] for folder in folders]
     assert states == ["done", "done"]

@@ -68,7 +68,7 @@ def train(
     plan.store.mkdir(parents=True, exist_ok=True)
     with alone(plan.store):
         runs = list(plan.configs.values())
-        return batch.train(runs, plan.store, console, hydra, workers)
+        return batch.train(runs, plan.store, console, hydra, workers, empties=True)
 
 
 def alone(store: Path) -> AbstractContextManager[None]:
