@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,21 +50,19 @@ TINY = (
 """Three robots in a room of 48 cells that learn from their eighth transition on."""
 
 
-COSTLY = ("tiny_run", "reproduced", "runs_of_fig4", "runs_of_fig5", "straight", "expected")
-"""Fixtures that train for several tests: made once if all of these run on one worker."""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Says which tests stay together when several workers share them.
-
-    Those that start Ray or Flower do: they run one after the other.
-    """
-    for item in items:
-        shared = [name for name in COSTLY if name in getattr(item, "fixturenames", ())]
-        if item.get_closest_marker("flower"):
-            shared = ["flower"]
-        if shared:
-            item.add_marker(pytest.mark.xdist_group(shared[0]))
+@pytest.fixture(autouse=True)
+def _one_at_a_time(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[None]:
+    """Tests that start Ray or Flower wait for each other, on whichever workers they are."""
+    if request.node.get_closest_marker("flower") is None:
+        yield
+        return
+    folder = tmp_path_factory.getbasetemp()
+    common = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+    with (common / "flower.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def changed(config: Any, changes: Mapping[str, Any]) -> Any:

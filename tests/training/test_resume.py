@@ -33,7 +33,7 @@ EVERY_OPTION = (
     "agent.double=true",
     "agent.priority.alpha=0.6",
 )
-CHANGES = ("train.max_ticks=120", "state.every=3", "evaluation.every=1")
+CHANGES = ("train.max_ticks=120", "state.every=3", "evaluation.every=2", "evaluation.episodes=2")
 
 
 def slow(*values: object) -> Any:
@@ -152,8 +152,8 @@ def test_a_run_may_be_moved(train, tmp_path) -> None:
 
 
 def test_a_killed_process_can_be_resumed(train, tiny_overrides, tmp_path) -> None:
-    length = ("train.max_ticks=3000", "train.episodes=1000000")
-    length = (*length, "state.every=5", "evaluation.every=20")
+    length = ("train.max_ticks=2000", "train.episodes=1000000")
+    length = (*length, "state.every=5", "evaluation.every=50")
     whole = train("whole", *length)
     folder = tmp_path / "killed"
     command = [sys.executable, "-m", "experiments.cli", "train", *tiny_overrides, *CHANGES]
