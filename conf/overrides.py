@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
 import itertools
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -102,9 +104,15 @@ def combinations(overrides: Sequence[Override]) -> list[list[str]]:
 
 
 def schema_node() -> DictConfig:
-    """The schema as a node that can still be merged into: frozen dataclasses make it read-only."""
+    """The schema as a node that can still be merged into; the caller's own."""
+    return copy.deepcopy(_schema())
+
+
+@cache
+def _schema() -> DictConfig:
+    """Made once: it takes seven times as long as a copy."""
     node: DictConfig = OmegaConf.structured(Config)
-    _set_writable(node)
+    _set_writable(node)  # frozen dataclasses make it read-only
     return node
 
 
