@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import pytest
+import train_helpers
 from rich.console import Console
 
 from conf import ConfigError
@@ -28,20 +29,7 @@ from training.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 300.0
-SMALL = (
-    "runtime=local",
-    "env.robots=2",
-    "env.room.cell_m=3",
-    "env.motion.max_slots=8",
-    "agent.learn_from=4",
-    "agent.batch_size=4",
-    "train.max_ticks=20",
-    "federation.every=10",
-    "evaluation.episodes=2",
-    "run.figures=false",
-    "run.tensorboard=false",
-    "run.dir=run",
-)
+SMALL = (*train_helpers.SMALL, "run.dir=run")
 
 
 @pytest.fixture(autouse=True)
