@@ -110,7 +110,7 @@ def _ended(config: Config, folder: RunFolder) -> dict[str, Any] | None:
         summary = folder.read_summary()
         return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
     except (LookupError, TypeError, ValueError) as error:
-        allowed = "a folder whose summary.json is whole"
+        allowed = f"a folder whose {folder.summary_file.name} is whole"
         raise ConfigError.of([("run.dir", folder, allowed)]) from error
 
 
