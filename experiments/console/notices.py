@@ -8,12 +8,13 @@ from conf import Config
 from env.mdp import lateness
 from env.radio import mounting
 from env.scenario import Scenario
+from experiments.console.plain import PLAIN
 
 
 def show(config: Config, console: Console) -> None:
     """Prints each notice on a line of its own."""
     for line in notices(config):
-        console.print(f"note: {line}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"note: {line}", **PLAIN)
 
 
 def notices(config: Config) -> list[str]:

@@ -27,7 +27,6 @@ from training import resume
 from training.checkpoint import Checkpoint
 from training.run_folder import RunFolder
 
-INTERRUPTED = 130
 ERRORS = (ConfigError, PluginError, FlowerError, LinkError, OSError)
 """What ends a run with a sentence: a mistake, or a machine, disk or network that fails."""
 

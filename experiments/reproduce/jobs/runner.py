@@ -11,7 +11,7 @@ from rich.console import Console
 from conf import Config
 from experiments.batch import train as batch
 from experiments.batch.launcher import build_launcher
-from experiments.batch.states import State, folder_of, state_of
+from experiments.batch.states import folder_of
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.targets.plan import Cell, configs
 from experiments.runtimes.folders import folder_lock
@@ -36,10 +36,6 @@ class Plan:
     def configs(self) -> dict[Path, Config]:
         """Every run once, by its folder."""
         return {folder_of(c): c for _, runs in self.cells for c in runs.values()}
-
-    def states(self) -> dict[Path, State]:
-        """What each run's folder holds now."""
-        return {folder: state_of(config) for folder, config in self.configs.items()}
 
     def runs(self, cells: Sequence[Cell]) -> Runs:
         """The runs of some of the cells, by the cell's name and by seed."""
