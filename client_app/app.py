@@ -19,6 +19,7 @@ from conf import Config, fingerprint, from_yaml, waits_for_the_lost
 from lockstep import serve
 from lockstep.tls import client_context
 from storage.checkpoint_layout import node_folder
+from training.partition import step_layout
 from training.run_folder import RunFolder
 from training.run_log import log_lines
 
@@ -131,5 +132,6 @@ def _serve(order: RoundConfig, keeper: CheckpointedRobots) -> None:
         else 0,
         n_parameters=keeper.parameters,
         client_context=context,
+        layout=step_layout(order.config),
     )
     log.info("the round has ended")

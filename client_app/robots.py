@@ -21,7 +21,7 @@ OUTCOME, ARRIVED, DRIVING = int(Flag.OUTCOME), int(Flag.ARRIVED), int(Flag.DRIVI
 
 
 class RobotGroup:
-    """n robots, each a DQN with its own local environment, stacked in one learner.
+    """n robots, each a DQN with its own local environments, stacked in one learner.
 
     A handler of messages: a step with results makes the robots learn and returns their next
     actions, ``upload`` returns their weights, ``download`` sets them. How robots are grouped
@@ -42,25 +42,29 @@ class RobotGroup:
     def __init__(self, config: Config, robots: Sequence[int]) -> None:
         self.robots, self.run = tuple(robots), config.run.id
         self._epsilon = config.agent.epsilon
-        self._slice = LocalEnv(Scenario.drawn(config.env, config.seed).of(robots))
+        rows = len(robots) * config.train.worlds
+        self._rows = tuple(robot for robot in robots for _ in range(config.train.worlds))
+        own = Scenario.drawn(config.env, config.seed).of(robots)
+        self._slice = LocalEnv(own, config.train.worlds)
         self.agents = DQN(
             robot_network(config),
             config.agent,
             config.agent.discount.robot,
             [stream(config.seed, Stream.ROBOT, robot) for robot in robots],
             proximal_mu=config.strategy.proximal_mu,
+            worlds=config.train.worlds,
         )
         self.parameters = self.agents.shape.parameters
         self.window = 0
-        self._cell = np.zeros(len(robots), dtype=np.int32)
-        self._observation = np.zeros((len(robots), self._slice.observation_size), np.float32)
-        self._action = np.zeros(len(robots), dtype=np.int32)
+        self._cell = np.zeros(rows, dtype=np.int32)
+        self._observation = np.zeros((rows, self._slice.observation_size), np.float32)
+        self._action = np.zeros(rows, dtype=np.int32)
 
     def step(self, step: Step) -> NDArray[np.int32] | None:
         """Learns from the outcome that a step carries and answers the actions that it wants."""
         self.window = step.window
         updates = step.updates
-        check_received(step.tick, self.robots, updates, self._slice.cells)
+        check_received(step.tick, self._rows, updates, self._slice.cells)
         flags = updates["flags"]
         learning = (flags & OUTCOME) != 0
         observation = self._slice.observe(updates["cell"], updates["channel_db"])
@@ -84,7 +88,7 @@ class RobotGroup:
         """Learns from an outcome; it led to what is observed now, unless an episode has ended."""
         reached = updates["outcome_cell"]
         reward = self._slice.reward(updates["rate"], self._cell, reached, arrived)
-        check_rewards(tick, self.robots, reward, learning)
+        check_rewards(tick, self._rows, reward, learning)
         next_observation = observation
         channel_db = updates["outcome_channel_db"]
         if (reached != updates["cell"]).any() or (channel_db != updates["channel_db"]).any():

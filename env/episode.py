@@ -42,7 +42,7 @@ class EpisodeMeasures:
     projections: NDArray[np.float64]
     slots: NDArray[np.int64]
 
-    def of(self, worlds: slice) -> EpisodeMeasures:
+    def of(self, worlds: slice | NDArray[np.bool_]) -> EpisodeMeasures:
         """The measures of some of the worlds."""
         return EpisodeMeasures(*(getattr(self, f.name)[worlds] for f in fields(self)))
 
@@ -92,6 +92,12 @@ class EpisodeAccumulator:
         self._reward += outcome.local_reward.sum(axis=-1)
         self._failed += outcome.allocation.sic_failed.sum(axis=-1)
         self._projected += outcome.allocation.projected
+
+    def restart(self, worlds: NDArray[np.bool_]) -> None:
+        """Forgets the episodes of worlds that have just been restarted, shape (B,)."""
+        for name in _COUNTS:
+            getattr(self, f"_{name}")[worlds] = 0
+        self._shortest[worlds] = self._world.shortest_slots[worlds]
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that has been counted, as copies; the arrays of ``restore``."""

@@ -16,18 +16,21 @@ from env.scenario import Scenario
 class LocalEnv:
     """The local environments of n robots.
 
+    Rows of the arrays below are a robot's worlds, side by side, and then the next robot's.
+
     Args:
         scenario: of these robots alone (``Scenario.of``).
+        worlds: E, in each of which every robot drives.
 
     Attributes:
         cells: how many the floor has.
         observation_size: of s_L.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, worlds: int = 1) -> None:
         observer, destinations = scenario.observer, scenario.destinations
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
-        self._robot = np.arange(len(destinations))
+        self._robot = np.arange(len(destinations)).repeat(worlds)
         self.cells = len(self._distance_m)
         self.observation_size = observer.local_size
         everywhere = np.broadcast_to(np.arange(self.cells)[:, None], self._distance_m.shape)

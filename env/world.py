@@ -167,6 +167,20 @@ class World:
         self._fading_sources = fading
         self._draw_fading()
 
+    def restart(self, worlds: NDArray[np.bool_]) -> None:
+        """Begins an episode in some of the worlds, from starts that are drawn, shape (B,)."""
+        self.cell = self.cell.copy()  # whoever was given the arrays keeps what they held
+        self.cell[worlds] = self.draw_starts(int(np.count_nonzero(worlds)))
+        self.driving = self.driving | worlds[:, None]
+        self.slot = np.where(worlds, 0, self.slot)
+        if self._fading is not None:
+            los, k_db = (
+                self.radio_map.direct_los[self.cell[worlds]],
+                self.config.channel.rician_k_db,
+            )
+            self._fading = self._fading.copy()
+            self._fading[worlds] = small_scale_fading(los, k_db, self.generator)
+
     def _draw_fading(self) -> None:
         """Draws the next slot's fading of hbar, if each slot has its own."""
         if self.config.channel.fading != "slot":

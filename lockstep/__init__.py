@@ -13,7 +13,7 @@ from lockstep.errors import (
 )
 from lockstep.interface import Fleet, Robots
 from lockstep.local import LocalFleet
-from lockstep.messages import UPDATE, Expect, Flag, Step
+from lockstep.messages import UPDATE, Expect, Flag, Layout, Step
 from lockstep.server import LinkServer
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "Flag",
     "Fleet",
     "FrameError",
+    "Layout",
     "LinkError",
     "LinkServer",
     "LinkTimeout",

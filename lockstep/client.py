@@ -16,6 +16,7 @@ from lockstep.frame_stream import FrameStream, prepare
 from lockstep.frames import decode, encode
 from lockstep.interface import Robots, answer
 from lockstep.messages import (
+    PLAIN,
     VERSION,
     Abort,
     Ack,
@@ -23,6 +24,7 @@ from lockstep.messages import (
     Expect,
     Failure,
     Hello,
+    Layout,
     Message,
     Restore,
     Step,
@@ -47,6 +49,7 @@ def serve(
     idle_timeout_s: float | None = None,
     reconnect_timeout_s: float = 0.0,
     client_context: ssl.SSLContext | None = None,
+    layout: Layout = PLAIN,
 ) -> None:
     """Serve one round: returns once the handler has taken the step that wants a FAREWELL.
 
@@ -64,6 +67,7 @@ def serve(
         reconnect_timeout_s: how long to try to come back where the connection breaks, in s; 0 does
             not try. A server that has died is not waited for: its machine refuses the connection.
         client_context: for TLS; none, no TLS.
+        layout: of the steps' records.
 
     Raises:
         Refused: the server does not let this client in.
@@ -74,7 +78,7 @@ def serve(
     sock = _connected(address, timeout_s, client_context)
     while True:
         try:
-            line = _entered(sock, robots, tokens, fingerprint, timeout_s, n_parameters)
+            line = _entered(sock, robots, tokens, fingerprint, timeout_s, n_parameters, layout)
             line.wait_up_to(timeout_s if idle_timeout_s is None else idle_timeout_s)
             _attend(line, handler, len(robots), n_parameters)
             return
@@ -94,11 +98,12 @@ def _entered(
     fingerprint: str,
     timeout_s: float,
     n_parameters: int,
+    layout: Layout,
 ) -> _Line:
     """Say hello and hear the welcome."""
     hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
-    limit = max(TEXT_SIZE, step_size(len(robots)), weights_size((2, n_parameters)))
-    line = _Line(FrameStream(sock, limit), timeout_s)
+    limit = max(TEXT_SIZE, step_size(len(robots), layout), weights_size((2, n_parameters)))
+    line = _Line(FrameStream(sock, limit), timeout_s, layout)
     line.wait_up_to(timeout_s)
     line.send(encode(hello))
     answer = line.recv()
@@ -112,9 +117,9 @@ def _entered(
 class _Line:
     """Messages from and to the server, and what it means when they stop."""
 
-    def __init__(self, stream: FrameStream, timeout_s: float) -> None:
+    def __init__(self, stream: FrameStream, timeout_s: float, layout: Layout) -> None:
         """A line over a socket that has this timeout."""
-        self.stream, self._timeout_s = stream, timeout_s
+        self.stream, self._timeout_s, self.layout = stream, timeout_s, layout
 
     def wait_up_to(self, timeout_s: float) -> None:
         """Bear this much silence from now on."""
@@ -131,7 +136,7 @@ class _Line:
             raise Disconnected(f"the server has gone: {described(error)}") from error
         if frame is None:
             raise LinkTimeout(f"no word from the server for {self._timeout_s:g} s")
-        return decode(bytearray(frame))
+        return decode(bytearray(frame), self.layout)
 
     def send(self, frame: bytes) -> None:
         """Send a frame."""
@@ -161,9 +166,10 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
     while True:
         message = line.recv()
         if isinstance(message, Step):
-            if len(message.updates) != count:
-                raise FrameError(f"a step for {len(message.updates)} robots, not {count}")
-            given = answer(handler, message, n_parameters)
+            rows, due = len(message.updates), count * line.layout.worlds
+            if rows != due:
+                raise FrameError(f"a step of {rows} records, not {due}")
+            given = answer(handler, message, count, n_parameters)
             if given is None:
                 return
             if message.expect is Expect.ACTIONS:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from lockstep.frame_stream import FrameStream
-from lockstep.messages import rows_of
-from lockstep.wire_format import RECORD, TEXT_SIZE, actions_size, weights_size
+from lockstep.messages import Layout
+from lockstep.wire_format import TEXT_SIZE, actions_size, weights_size
 
 
 @dataclass(slots=True)
@@ -32,15 +32,20 @@ class BlockStats:
 class ClientSlot:
     """One client's place in the round, whether or not it is taken."""
 
-    def __init__(self, block: tuple[int, ...], shape: tuple[int, int], stats: BlockStats) -> None:
+    def __init__(
+        self, block: tuple[int, ...], shape: tuple[int, int], layout: Layout, stats: BlockStats
+    ) -> None:
         """A free slot for the client that holds the robots of `block`."""
-        self.block = block
-        self.rows = rows_of(block)
-        self._cuts = [slice(k * RECORD, (k + 1) * RECORD) for k in block]
+        self.block, self.robots = block, list(block)
+        self.rows = layout.rows_of(block)
+        self.count = len(block) * layout.worlds
+        robot = layout.worlds * layout.record.itemsize
+        self._cuts = [slice(k * robot, (k + 1) * robot) for k in block]
         if isinstance(self.rows, slice):
-            self._cuts = [slice(self.rows.start * RECORD, self.rows.stop * RECORD)]
+            self._cuts = [slice(block[0] * robot, (block[-1] + 1) * robot)]
         self.upload_shape = (len(block), *shape)
-        self.limit = max(TEXT_SIZE, actions_size(len(block)), weights_size(self.upload_shape))
+        longest = actions_size(len(block), layout)
+        self.limit = max(TEXT_SIZE, longest, weights_size(self.upload_shape))
         self.stats = stats
         self.stream: FrameStream | None = None
         self.awaited = False
@@ -48,7 +53,7 @@ class ClientSlot:
         self.stale = False  # what comes is older than the last `Halt` or `Begin`
 
     def records(self, fleet: bytes) -> bytes:
-        """This slot's part of the bytes of all robots' UPDATE records."""
+        """This slot's part of the bytes of all robots' records."""
         if len(self._cuts) == 1:
             return fleet[self._cuts[0]]
         return b"".join([fleet[cut] for cut in self._cuts])

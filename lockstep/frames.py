@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from lockstep.errors import TEXT_LIMIT, FrameError, one_line
 from lockstep.messages import (
     MAX_ROBOTS,
-    UPDATE,
+    MAX_ROWS,
+    PLAIN,
     VERSION,
     Abort,
     Ack,
@@ -27,6 +28,7 @@ from lockstep.messages import (
     Failure,
     Flag,
     Hello,
+    Layout,
     Message,
     Rejection,
     Restore,
@@ -42,7 +44,6 @@ from lockstep.wire_format import (
     HEADER,
     MAGIC,
     MOST_WINDOWS,
-    RECORD,
     RESTORE,
     STEP,
     WEIGHTS,
@@ -56,13 +57,12 @@ _FLAGS = int(Flag.OUTCOME | Flag.ARRIVED | Flag.DRIVING)
 _WANTS = tuple(Expect)
 
 
-def step_frame(tick: int, window: int, expect: Expect, records: bytes) -> bytes:
-    """The frame of a `Step`, from the bytes of its UPDATE records.
+def step_frame(tick: int, window: int, expect: Expect, records: bytes, count: int) -> bytes:
+    """The frame of a `Step`, from the bytes of its so many records.
 
     Raises:
         FrameError: tick or window does not fit its field.
     """
-    count = len(records) // RECORD
     try:
         head = _STEP_FRAME.pack(
             MAGIC, VERSION, Kind.STEP, 0, STEP.size + len(records), tick, window, expect, count
@@ -93,8 +93,8 @@ def _framed(kind: Kind, *parts: bytes | memoryview) -> bytes:
 
 
 def _encode_step(step: Step) -> bytes:
-    records = np.ascontiguousarray(step.updates, UPDATE).tobytes()
-    return step_frame(step.tick, step.window, step.expect, records)
+    records = np.ascontiguousarray(step.updates)
+    return step_frame(step.tick, step.window, step.expect, records.tobytes(), len(records))
 
 
 def _encode_actions(message: Actions) -> bytes:
@@ -145,7 +145,7 @@ _ENCODERS: dict[type, Callable[[Any], bytes]] = {
 
 
 def _actions_head(tick: int, count: int) -> tuple[bytes, int, int, int, int, int, int]:
-    """What stands before the actions of `count` robots."""
+    """What stands before so many actions."""
     return MAGIC, VERSION, Kind.ACTIONS, 0, ACTIONS.size + 4 * count, tick, count
 
 
@@ -161,11 +161,15 @@ def actions_in(frame: memoryview, tick: int, count: int) -> NDArray[np.int32]:
     message = decode(frame)
     if not isinstance(message, Actions) or message.tick != tick:
         raise FrameError(f"{type(message).__name__} where actions of tick {tick} are due")
-    raise FrameError(f"{len(message.actions)} actions for {count} robots")
+    raise FrameError(f"{len(message.actions)} actions where {count} are due")
 
 
-def decode(frame: memoryview | bytes | bytearray) -> Message:
+def decode(frame: memoryview | bytes | bytearray, layout: Layout = PLAIN) -> Message:
     """The message in a whole frame; its arrays are views of the frame.
+
+    Args:
+        frame: the whole of it.
+        layout: of the records of a `Step`.
 
     Raises:
         FrameError: anything about the frame is not as it must be.
@@ -176,25 +180,28 @@ def decode(frame: memoryview | bytes | bytearray) -> Message:
     if frame_size(view, len(view)) != len(view):
         raise FrameError("a frame's length is not what its header says")
     try:
-        return _DECODERS[view[5]](view[HEADER.size :])
+        body = view[HEADER.size :]
+        return _decode_step(body, layout) if view[5] == Kind.STEP else _DECODERS[view[5]](body)
     except (struct.error, ValueError, RecursionError) as error:
         raise FrameError(f"malformed {Kind(view[5]).name} frame: {one_line(error, 200)}") from error
 
 
-def _decode_step(body: memoryview) -> Step:
+def _decode_step(body: memoryview, layout: Layout) -> Step:
     tick, window, expect, count = STEP.unpack_from(body)
-    if expect >= len(_WANTS) or not 1 <= count <= MAX_ROBOTS:
-        raise ValueError("what it wants or its number of robots is out of range")
-    if len(body) != STEP.size + count * RECORD:
+    if expect >= len(_WANTS) or not 1 <= count <= MAX_ROWS:
+        raise ValueError("what it wants or its number of records is out of range")
+    size = layout.record.itemsize
+    if len(body) != STEP.size + count * size:
         raise ValueError(f"{len(body)} bytes are not {count} records")
-    if max(body[STEP.size :: RECORD]) > _FLAGS or any(body[STEP.size + 1 :: RECORD]):
+    if max(body[STEP.size :: size]) > _FLAGS or any(body[STEP.size + 1 :: size]):
         raise ValueError("unknown flags")
-    return Step(tick, window, _WANTS[expect], np.frombuffer(body, UPDATE, count, STEP.size))
+    records = np.frombuffer(body, layout.record, count, STEP.size)
+    return Step(tick, window, _WANTS[expect], records)
 
 
 def _decode_actions(body: memoryview) -> Actions:
     tick, count = ACTIONS.unpack_from(body)
-    if not 1 <= count <= MAX_ROBOTS or len(body) != ACTIONS.size + 4 * count:
+    if not 1 <= count <= MAX_ROWS or len(body) != ACTIONS.size + 4 * count:
         raise ValueError(f"{len(body)} bytes are not {count} actions")
     return Actions(tick, np.frombuffer(body, "<i4", count, ACTIONS.size))
 
@@ -270,7 +277,6 @@ _DECODERS: dict[int, Callable[[memoryview], Message]] = {
     Kind.WELCOME: lambda body: Welcome(_number(_fields(body).get("version"), 2**16)),
     Kind.REFUSED: lambda body: Rejection(one_line(str(body, "utf-8"))),
     Kind.FAILURE: lambda body: Failure(one_line(str(body, "utf-8"))),
-    Kind.STEP: _decode_step,
     Kind.ACTIONS: _decode_actions,
     Kind.WEIGHTS: _decode_weights,
     Kind.RESTORE: _decode_begin,

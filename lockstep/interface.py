@@ -14,7 +14,7 @@ class Robots(Protocol):
     """Client side: n robots with no loop of their own. What they are given is theirs to keep."""
 
     def step(self, step: Step) -> NDArray[np.int32] | None:
-        """Learn from the outcome; answer int32 (n,) if the step wants actions, else None."""
+        """Learn from the outcome; answer int32, one a row, if the step wants actions, else None."""
         ...
 
     def upload(self) -> NDArray[np.float32]:
@@ -34,35 +34,35 @@ class Robots(Protocol):
         ...
 
 
-def answer(handler: Robots, step: Step, n_parameters: int | None) -> np.ndarray | None:
+def answer(handler: Robots, step: Step, robots: int, n_parameters: int | None) -> np.ndarray | None:
     """What a handler answers to a step, checked: actions, weights, or None at the end of a round.
 
     Args:
         handler: of n robots.
         step: for them.
+        robots: n.
         n_parameters: P, or None as long as it is not known.
     """
-    count = len(step.updates)
     actions = handler.step(step)
     if step.expect is Expect.ACTIONS:
-        return checked_actions(actions, count)
+        return checked_actions(actions, len(step.updates))
     if step.expect is Expect.END_ROUND:
         return None
     weights = handler.upload()
     if n_parameters is None:
         n_parameters = weights.shape[-1]
-    return checked_weights(weights, (count, 2, n_parameters))
+    return checked_weights(weights, (robots, 2, n_parameters))
 
 
 class Fleet(Protocol):
     """Server side: all K robots, in robot order."""
 
     def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
-        """Send each robot its record of `updates`, (K,) UPDATE; return at once where possible."""
+        """Send each robot its records of `updates`, (K E,); return at once where possible."""
         ...
 
     def actions(self, tick: int) -> NDArray[np.int32]:
-        """The answers to the step of this tick, int32 (K,), -1 where a robot is not driving."""
+        """The answers to the step of this tick, int32 (K E,), -1 where a robot is not driving."""
         ...
 
     def upload(self, window: int) -> NDArray[np.float32]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +9,15 @@ from numpy.typing import NDArray
 from lockstep.errors import LinkError, RobotFailed, described
 from lockstep.interface import ProtocolState, Robots
 from lockstep.messages import (
+    PLAIN,
     Expect,
+    Layout,
     Step,
     checked_actions,
     checked_updates,
     checked_weights,
     robot_count,
-    rows_of,
 )
-
-_T = TypeVar("_T", bound=np.generic)
 
 
 class LocalFleet:
@@ -29,14 +27,21 @@ class LocalFleet:
     at once and not only where its answer is due. Weights are taken where they are due.
     """
 
-    def __init__(self, handlers: Sequence[tuple[tuple[int, ...], Robots]]) -> None:
+    def __init__(
+        self,
+        handlers: Sequence[tuple[tuple[int, ...], Robots]],
+        layout: Layout = PLAIN,
+    ) -> None:
         """A fleet before its first step.
 
         Args:
             handlers: each with the robots that it holds; together 0..K-1.
+            layout: of the steps' records.
         """
-        self._robots = robot_count([block for block, _ in handlers])
-        self._handlers = [(tuple(block), rows_of(block), handler) for block, handler in handlers]
+        self._robots, self._layout = robot_count([block for block, _ in handlers]), layout
+        self._handlers = [
+            (tuple(block), layout.rows_of(block), handler) for block, handler in handlers
+        ]
         self._protocol = ProtocolState()
         self._answers: list[NDArray[np.int32]] = []
         self._parameters: int | None = None
@@ -45,7 +50,7 @@ class LocalFleet:
     def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
         """See `Fleet.send_step`."""
         self._check_open()
-        checked_updates(updates, self._robots)
+        checked_updates(updates, self._robots, self._layout)
         self._protocol.on_step(tick, window, expect)
         answers = self._answers = []
         for block, rows, handler in self._handlers:
@@ -53,13 +58,16 @@ class LocalFleet:
             with self._failing(block):
                 actions = handler.step(step)
                 if expect is Expect.ACTIONS:
-                    answers.append(checked_actions(actions, len(block)))
+                    answers.append(checked_actions(actions, len(step.updates)))
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
         self._check_open()
         self._protocol.on_actions(tick)
-        return self._gathered(self._answers, np.empty(self._robots, np.int32))
+        result = np.empty(self._robots * self._layout.worlds, np.int32)
+        for (_, rows, _), given in zip(self._handlers, self._answers, strict=True):
+            result[rows] = given
+        return result
 
     def upload(self, window: int) -> NDArray[np.float32]:
         """See `Fleet.upload`."""
@@ -90,19 +98,16 @@ class LocalFleet:
 
     def _uploaded(self) -> NDArray[np.float32]:
         """The robots' weights as they are now, in robot order."""
-        parts: list[NDArray[np.float32]] = []
+        parts: dict[tuple[int, ...], NDArray[np.float32]] = {}
         for block, _, handler in self._handlers:
             with self._failing(block):
                 weights = handler.upload()
                 if self._parameters is None:
                     self._parameters = weights.shape[-1]
-                parts.append(checked_weights(weights, (len(block), 2, self._parameters)))
-        return self._gathered(parts, np.empty((self._robots, 2, self._parameters or 0), np.float32))
-
-    def _gathered(self, parts: Sequence[NDArray[_T]], result: NDArray[_T]) -> NDArray[_T]:
-        """The handlers' parts, in robot order."""
-        for (_, rows, _), given in zip(self._handlers, parts, strict=True):
-            result[rows] = given
+                parts[block] = checked_weights(weights, (len(block), 2, self._parameters))
+        result = np.empty((self._robots, 2, self._parameters or 0), np.float32)
+        for block, part in parts.items():
+            result[list(block)] = part
         return result
 
     @contextmanager

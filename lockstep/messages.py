@@ -19,12 +19,15 @@ server drops all up to the `Ack` that has their number.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 2
+VERSION = 3
 MAX_ROBOTS = 256
+MAX_ROWS = 2**16 - 1
+"""Most records in a `Step`: robots times worlds."""
 
 UPDATE = np.dtype(
     [
@@ -37,6 +40,43 @@ UPDATE = np.dtype(
     ]
 )
 """One robot's record in a `Step`: packed, little-endian, 26 bytes."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What stands in a `Step`: the same for all robots of a run, and known to both sides.
+
+    Rows are robot-major: a robot's rows, one for each world, stand side by side.
+
+    Attributes:
+        worlds: E, copies of the world in which each robot drives.
+        broadcast: numbers that the access point broadcasts to each robot in a slot.
+        credit: whether it also tells robots what the slot was worth.
+    """
+
+    worlds: int = 1
+    broadcast: int = 0
+    credit: bool = False
+
+    @cached_property
+    def record(self) -> np.dtype[np.void]:
+        """A record: `UPDATE`, then the credit and the broadcasts, if any."""
+        if not self.broadcast and not self.credit:
+            return UPDATE
+        numbers = (self.broadcast,)
+        more = [("credit", "<f8")] if self.credit else []
+        seen = [("outcome_broadcast", "<f4", numbers), ("broadcast", "<f4", numbers)]
+        return np.dtype([*UPDATE.descr, *more, *(seen if self.broadcast else [])])
+
+    def rows_of(self, block: Sequence[int]) -> slice | NDArray[np.intp]:
+        """The index that picks the rows of a block of robots: a slice where they are neighbours."""
+        worlds = self.worlds
+        if list(block) == list(range(block[0], block[0] + len(block))):
+            return slice(block[0] * worlds, (block[0] + len(block)) * worlds)
+        return (np.array(block, np.intp)[:, None] * worlds + np.arange(worlds)).ravel()
+
+
+PLAIN = Layout()
 
 
 class Flag(IntFlag):
@@ -63,7 +103,7 @@ class Expect(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """The outcome of one tick and the observation of the next, for n robots."""
+    """The outcome of one tick and the observation of the next: rows of n robots (`Layout`)."""
 
     tick: int
     window: int
@@ -73,7 +113,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Actions:
-    """The answers to a step: int32 (n,), -1 where a robot is not driving."""
+    """The answers to a step: int32, one for each of its rows, -1 where a robot is not driving."""
 
     tick: int
     actions: NDArray[np.int32]
@@ -171,16 +211,10 @@ def robot_count(blocks: Sequence[Sequence[int]]) -> int:
     return len(robots)
 
 
-def rows_of(block: Sequence[int]) -> slice | NDArray[np.intp]:
-    """The index that picks a block's rows: a slice where the robots are neighbours."""
-    if list(block) == list(range(block[0], block[0] + len(block))):
-        return slice(block[0], block[0] + len(block))
-    return np.array(block, np.intp)
-
-
-def checked_updates(updates: np.ndarray, count: int) -> np.ndarray:
-    """The records, if there is one for each robot."""
-    if updates.dtype != UPDATE or updates.shape != (count,):
+def checked_updates(updates: np.ndarray, robots: int, layout: Layout) -> np.ndarray:
+    """The records, if there is one for each robot in each world."""
+    count = robots * layout.worlds
+    if updates.dtype != layout.record or updates.shape != (count,):
         raise ValueError(f"updates must be UPDATE records of shape ({count},)")
     return updates
 

@@ -11,7 +11,15 @@ from lockstep.acceptor import Acceptor, RoundCredentials
 from lockstep.client_slots import BlockStats, ClientSlot
 from lockstep.errors import FrameError, LinkError
 from lockstep.frames import actions_in, decode, encode, step_frame
-from lockstep.messages import Expect, Weights, checked_updates, checked_weights, robot_count
+from lockstep.messages import (
+    PLAIN,
+    Expect,
+    Layout,
+    Weights,
+    checked_updates,
+    checked_weights,
+    robot_count,
+)
 from lockstep.server_round import ServerRound
 
 
@@ -32,6 +40,7 @@ class LinkServer:
         timeout_s: float,
         handshake_s: float = 5.0,
         server_context: ssl.SSLContext | None = None,
+        layout: Layout = PLAIN,
     ) -> None:
         """Listen.
 
@@ -42,6 +51,7 @@ class LinkServer:
             timeout_s: the longest wait for an answer, in s.
             handshake_s: what a pending connection has to say hello, in s.
             server_context: for TLS; none, no TLS.
+            layout: of the steps' records.
 
         Raises:
             LinkError: the address cannot be listened on.
@@ -55,7 +65,7 @@ class LinkServer:
         self._fingerprint, self._timeout_s = fingerprint, timeout_s
         self._stats: dict[tuple[int, ...], BlockStats] = {}
         self._exchange: ServerRound | None = None
-        self._robots = 0
+        self._robots, self._layout = 0, layout
         self._shape = (0, 0)
         self._acceptor = Acceptor(listener, handshake_s, server_context)
         self._acceptor.start()
@@ -84,7 +94,9 @@ class LinkServer:
         self._part("a new round has begun")
         self._robots, self._shape = robots, weights_shape
         slots = [
-            ClientSlot(block, weights_shape, self._stats.setdefault(block, BlockStats()))
+            ClientSlot(
+                block, weights_shape, self._layout, self._stats.setdefault(block, BlockStats())
+            )
             for block in map(tuple, blocks)
         ]
         admission = RoundCredentials(
@@ -138,21 +150,21 @@ class LinkServer:
     def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
         """See `Fleet.send_step`."""
         exchange = self._open
-        records = checked_updates(updates, self._robots).tobytes()
+        records = checked_updates(updates, self._robots, self._layout).tobytes()
         exchange.protocol.on_step(tick, window, expect)
         awaited = expect is not Expect.END_ROUND
         for slot in exchange.slots.values():
-            frame = step_frame(tick, window, expect, slot.records(records))
+            frame = step_frame(tick, window, expect, slot.records(records), slot.count)
             exchange.send(slot, frame, awaited)
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
         exchange = self._open
         exchange.protocol.on_actions(tick)
-        result = np.empty(self._robots, np.int32)
+        result = np.empty(self._robots * self._layout.worlds, np.int32)
 
         def accept(slot: ClientSlot, frame: memoryview) -> None:
-            result[slot.rows] = actions_in(frame, tick, len(slot.block))
+            result[slot.rows] = actions_in(frame, tick, slot.count)
 
         exchange.gather(accept)
         return result
@@ -173,7 +185,7 @@ class LinkServer:
                 raise FrameError(
                     f"weights of shape {message.weights.shape}, not {slot.upload_shape}"
                 )
-            result[slot.rows] = message.weights
+            result[slot.robots] = message.weights
 
         exchange.gather(accept)
         return result

@@ -5,7 +5,7 @@ import struct
 from enum import IntEnum
 
 from lockstep.errors import TEXT_LIMIT, FrameError
-from lockstep.messages import MAX_ROBOTS, UPDATE, VERSION
+from lockstep.messages import MAX_ROWS, VERSION, Layout
 
 MAGIC = b"RISF"
 HEADER = struct.Struct("<4sBBHI")
@@ -16,7 +16,6 @@ RESTORE = struct.Struct("<IIII")
 ABORT = struct.Struct("<I")
 ACK = struct.Struct("<IH")
 MOST_WINDOWS = 256
-RECORD = UPDATE.itemsize
 
 
 class Kind(IntEnum):
@@ -41,8 +40,8 @@ BODY_LIMITS = {
     Kind.WELCOME: 4 * TEXT_LIMIT,
     Kind.REFUSED: 4 * TEXT_LIMIT,
     Kind.FAILURE: 4 * TEXT_LIMIT,
-    Kind.STEP: STEP.size + MAX_ROBOTS * RECORD,
-    Kind.ACTIONS: ACTIONS.size + MAX_ROBOTS * 4,
+    Kind.STEP: STEP.size + 2**26,
+    Kind.ACTIONS: ACTIONS.size + MAX_ROWS * 4,
     Kind.WEIGHTS: WEIGHTS.size + 2**30,
     Kind.RESTORE: RESTORE.size + 2**30,
     Kind.ACK: ACK.size + 4 * MOST_WINDOWS,
@@ -50,14 +49,14 @@ BODY_LIMITS = {
 }
 
 
-def step_size(count: int) -> int:
-    """Bytes of a step for `count` robots."""
-    return HEADER.size + STEP.size + count * RECORD
+def step_size(robots: int, layout: Layout) -> int:
+    """Bytes of a step for so many robots."""
+    return HEADER.size + STEP.size + robots * layout.worlds * layout.record.itemsize
 
 
-def actions_size(count: int) -> int:
-    """Bytes of the actions of `count` robots."""
-    return HEADER.size + ACTIONS.size + count * 4
+def actions_size(robots: int, layout: Layout) -> int:
+    """Bytes of the actions of so many robots."""
+    return HEADER.size + ACTIONS.size + robots * layout.worlds * 4
 
 
 def weights_size(shape: tuple[int, ...]) -> int:

@@ -21,6 +21,7 @@ from training import resume
 from training.addresses import check_address, uses_tls
 from training.checkpoint import Checkpoint
 from training.engine_limits import default_concurrency
+from training.partition import step_layout
 from training.preflight import checked, checked_yaml
 from training.run_folder import RunFolder
 
@@ -57,6 +58,7 @@ def _train(grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | 
         fingerprint=fingerprint(config.env),
         timeout_s=where.timeout_s,
         server_context=server_context(certificate, key) if certificate else None,
+        layout=step_layout(config),
     )
     try:
         nodes = _nodes(grid, config)

@@ -157,7 +157,7 @@ def play() -> Callable[..., Played]:
         if fleet is None:
             fleet = _local_fleet(config, blocks or [tuple(range(config.env.robots))], initial)
         scenario = Scenario.drawn(config.env, config.seed)
-        world = World(scenario, stream(config.seed, Stream.WORLD))
+        world = World(scenario, stream(config.seed, Stream.WORLD), config.train.worlds)
         ap, watcher = AccessPoint(config), Watcher()
         aggregator = build_aggregator(config.strategy, config.env.robots)
         run = Coordinator(config, world, ap, fleet, aggregator, watcher, stop)
@@ -171,13 +171,14 @@ def _local_fleet(
 ) -> Any:
     from client_app.robots import RobotGroup
     from experiments.runtimes.local import InProcessFleet
+    from training.partition import step_layout
 
     groups = []
     for block in blocks:
         group = RobotGroup(config, block)
         group.download(0, initial)
         groups.append((block, group))
-    return InProcessFleet(groups)
+    return InProcessFleet(groups, step_layout(config))
 
 
 @pytest.fixture(scope="session")

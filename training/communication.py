@@ -11,7 +11,7 @@ from typing import Any
 
 from conf import Config, flower_clients, robot_network
 from lockstep.wire_format import actions_size, step_size
-from training.partition import partition_robots
+from training.partition import partition_robots, step_layout
 
 NUMBER = 4
 """Bytes of a float32 or int32."""
@@ -45,7 +45,7 @@ def per_tick(config: Config) -> dict[str, float]:
     """
     every, robots = config.federation.every, config.env.robots
     weights = robots * _directions(config) * NETWORKS * NUMBER * robot_network(config).parameters
-    transitions = robots * NUMBER * _numbers(config)
+    transitions = config.train.worlds * robots * NUMBER * _numbers(config)
     lockstep = _lockstep(config)
     return {
         "weights": weights / every,
@@ -94,7 +94,8 @@ def _numbers(config: Config) -> int:
 def _lockstep(config: Config) -> int:
     """Bytes of a window's steps and actions on the link."""
     blocks = partition_robots(config.env.robots, flower_clients(config))
-    steps = sum(step_size(len(block)) for block in blocks)
-    answers = sum(actions_size(len(block)) for block in blocks)
+    layout = step_layout(config)
+    steps = sum(step_size(len(block), layout) for block in blocks)
+    answers = sum(actions_size(len(block), layout) for block in blocks)
     every = config.federation.every
     return (every + 1) * steps + every * answers

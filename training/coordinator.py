@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from conf import Config
 from env.episode import EpisodeAccumulator
 from env.world import StepResult, World
-from lockstep import UPDATE, Expect, Flag, Fleet
+from lockstep import Expect, Flag, Fleet
 from storage.generators import generator_state, restore_generator
 from training.checkpoint import flat, part
 from training.controllers.access_point import RisController
+from training.partition import step_layout
 from training.recording.progress import Observer, Progress
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class Coordinator:
 
     Args:
         config: the run's configuration.
-        world: a single world.
+        world: E worlds, in each of which all robots drive.
         ap: the controller of the RIS.
         fleet: the robots.
         aggregator: the strategy, or None for independent learners.
@@ -55,7 +56,7 @@ class Coordinator:
         stop: Callable[[], bool] = lambda: False,
         keep: Callable[[bool], None] = lambda final: None,
     ) -> None:
-        self._config = config
+        self._config, self._record = config, step_layout(config).record
         self._world, self._ap, self._fleet = world, ap, fleet
         self._aggregator = aggregator
         self._observer = observer
@@ -150,18 +151,19 @@ class Coordinator:
         return expect is Expect.END_ROUND
 
     def _robots_actions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Waits for the robots' actions, checked: directions and power levels, (1, K) each."""
+        """Waits for the robots' actions, checked: directions and power levels, (E, K) each."""
         began = time.perf_counter()
         chosen = self._fleet.actions(self.progress.tick).astype(np.int64)
         self.waited_s += time.perf_counter() - began
         space = self._world.scenario.actions
-        most = space.count - 1
-        for robot, action in enumerate(chosen.tolist()):
+        most, worlds = space.count - 1, len(self._world.cell)
+        for row, action in enumerate(chosen.tolist()):
             if not -1 <= action <= most:
+                robot = row // worlds
                 raise ValueError(
                     f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
                 )
-        return space.decode(chosen[None])
+        return space.decode(chosen.reshape(-1, worlds).T)
 
     def _pass_on(
         self, window: int, phase: NDArray[np.int64], outcome: StepResult, *, last: bool
@@ -172,10 +174,11 @@ class Coordinator:
             What the robots answer next.
         """
         updates, seen = self._updates(outcome), self._state
-        next_observation, ended = None, outcome.terminated[0] or outcome.truncated[0]
-        if ended:  # what is counted and seen of this episode comes before the next one begins
+        ended, next_observation = outcome.terminated | outcome.truncated, None
+        ends = bool(ended.any())
+        if ends:  # what is counted and seen of an episode comes before the next one begins
             next_observation = self._count(outcome)
-            self._end_episode()
+            self._end_episodes(ended)
         self._observe_into(updates)
         expect = Expect.ACTIONS
         if last:
@@ -183,7 +186,7 @@ class Coordinator:
         self._fleet.send_step(self.progress.tick, window, expect, updates)
         if next_observation is None:
             next_observation = self._count(outcome)
-        self._state = self._world.global_observation() if ended else next_observation
+        self._state = self._world.global_observation() if ends else next_observation
         self._ap.learn(seen, phase, outcome, next_observation)
         return expect
 
@@ -192,11 +195,14 @@ class Coordinator:
         self._tally.add(outcome)
         return self._world.global_observation()
 
-    def _end_episode(self) -> None:
-        self.progress.episodes += 1
-        self._observer.on_episode(self.progress, self._tally.measures())
-        self._world.reset()
-        self._tally = EpisodeAccumulator(self._world)
+    def _end_episodes(self, ended: NDArray[np.bool_]) -> None:
+        """Begins the next episodes of some worlds, shape (E,), each of which counts by itself."""
+        measures = self._tally.measures()
+        for world in np.flatnonzero(ended):
+            self.progress.episodes += 1
+            self._observer.on_episode(self.progress, measures.of(slice(world, world + 1)))
+        self._world.restart(ended)
+        self._tally.restart(ended)
 
     def _is_over(self) -> bool:
         train = self._config.train
@@ -207,20 +213,30 @@ class Coordinator:
         return enough or late or self.stopped
 
     def _updates(self, outcome: StepResult | None = None) -> np.ndarray:
-        """The robots' records, filled with the results of a step, if there is one."""
+        """The robots' records, filled with the results of a step, if there is one.
+
+        Robot-major, as ``lockstep.Layout`` says: shape (K E,).
+        """
         world = self._world
-        updates = np.zeros(world.robots, dtype=UPDATE)
+        updates = np.zeros(world.cell.size, dtype=self._record)
         if outcome is not None:
-            updates["flags"] = outcome.drove[0] * OUTCOME
-            updates["flags"] |= outcome.arrived[0] * ARRIVED
-            updates["outcome_cell"] = world.cell[0]
-            updates["outcome_channel_db"] = world.measured_db[0]
-            updates["rate"] = outcome.rate[0]
+            updates["flags"] = _by_robot(outcome.drove) * OUTCOME
+            updates["flags"] |= _by_robot(outcome.arrived) * ARRIVED
+            updates["outcome_cell"] = _by_robot(world.cell)
+            updates["outcome_channel_db"] = _by_robot(world.measured_db)
+            updates["rate"] = _by_robot(outcome.rate)
         return updates
 
     def _observe_into(self, updates: np.ndarray) -> None:
         """Adds what each robot observes now, after a reset where an episode has just ended."""
         world = self._world
-        updates["flags"] |= world.driving[0] * DRIVING
-        updates["cell"] = world.cell[0]
-        updates["channel_db"] = world.measured_db[0]
+        updates["flags"] |= _by_robot(world.driving) * DRIVING
+        updates["cell"] = _by_robot(world.cell)
+        updates["channel_db"] = _by_robot(world.measured_db)
+
+
+def _by_robot(values: NDArray[Any]) -> NDArray[Any]:
+    """Rows of a step, shape (K E, ...), of values of shape (E, K, ...)."""
+    if len(values) == 1:
+        return values[0]
+    return values.swapaxes(0, 1).reshape(values.shape[0] * values.shape[1], *values.shape[2:])

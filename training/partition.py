@@ -1,11 +1,19 @@
-"""How robots are dealt to clients."""
+"""How robots are dealt to clients, and what a step tells them."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from conf import Config
+from lockstep.messages import Layout
+
 Block = tuple[int, ...]
 """The robots of one client."""
+
+
+def step_layout(config: Config) -> Layout:
+    """What a run's steps carry."""
+    return Layout(config.train.worlds)
 
 
 def partition_robots(robots: int, clients: int) -> list[Block]:

@@ -62,7 +62,7 @@ class TrainingRun:
         self._began = time.perf_counter() - spent["wall_s"]
         self._cpu_before = time.process_time() - spent["cpu_s"]
         scenario = Scenario.drawn(config.env, config.seed)
-        self.world = World(scenario, stream(config.seed, Stream.WORLD))
+        self.world = World(scenario, stream(config.seed, Stream.WORLD), config.train.worlds)
         self.ap = build_ris_controller(config, self.world)
         self.evaluator = Evaluator(config, scenario)
         marks = None if resumed is None else resumed.meta["marks"]

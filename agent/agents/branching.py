@@ -31,6 +31,7 @@ class BranchingDQN(ReplayAgents):
         heads: Heads,
         config: AgentConfig,
         generator: np.random.Generator,
+        worlds: int = 1,
     ) -> None:
         """Makes an agent with weights of zero; `load` gives it its first ones.
 
@@ -39,63 +40,66 @@ class BranchingDQN(ReplayAgents):
             heads: in the order of the actions.
             config: how it learns.
             generator: its own.
+            worlds: E, in each of which it decides.
         """
         self.heads = heads
         self._layout = HeadRows(shape.inputs, len(heads.sizes))
         learner = BranchingLearner(shape, heads, config, self._layout)
-        super().__init__(shape, config, learner, [generator])
+        super().__init__(shape, config, learner, [generator], worlds)
         self._layers = shape.views(self.online)
-        self._one = np.ones(1, dtype=bool)
+        self._always = np.ones(worlds, dtype=bool)
 
     def choose(
-        self, observation: FloatArray, epsilon: float, active: NDArray[np.bool_]
+        self, observations: FloatArray, epsilon: float, active: NDArray[np.bool_]
     ) -> NDArray[np.int32]:
         """Chooses each part epsilon-greedily.
 
         Args:
-            observation: shape (inputs,).
+            observations: in each world, shape (E, inputs).
             epsilon: share of random actions, for each head by itself.
-            active: which heads have something to decide, shape (H,).
+            active: which heads have something to decide, shape (E, H).
 
         Returns:
-            Actions, -1 for the idle, shape (H,).
+            Actions, -1 for the idle, shape (E, H).
         """
         draw = self._generators[0].random
-        choices = self.heads.best(forward(self._layers, observation[None, None])[0, 0]).tolist()
-        for head, decides in enumerate(active.tolist()):
-            if not decides:
-                choices[head] = NO_ACTION
-            elif draw() < epsilon:
-                choices[head] = int(draw() * self.heads.sizes[head])
+        choices = self.heads.best(forward(self._layers, observations[None])[0]).tolist()
+        for chosen, decides in zip(choices, active.tolist(), strict=True):
+            for head, size in enumerate(self.heads.sizes):
+                if not decides[head]:
+                    chosen[head] = NO_ACTION
+                elif draw() < epsilon:
+                    chosen[head] = int(draw() * size)
         return np.array(choices, np.int32)
 
     def learn(
         self,
-        observation: ArrayLike,
+        observations: ArrayLike,
         actions: ArrayLike,
         rewards: ArrayLike,
-        next_observation: ArrayLike,
+        next_observations: ArrayLike,
         terminal: ArrayLike,
         active: NDArray[np.bool_],
     ) -> float:
-        """Stores a transition and, once enough are held, takes one gradient step.
+        """Stores a transition of each world and, once enough are held, learns.
 
         Args:
-            observation: shape (inputs,).
-            actions: of each head, shape (H,); any for an idle one.
-            rewards: of each, unscaled, shape (H,).
-            next_observation: shape (inputs,).
-            terminal: whether each head's part has ended for good, shape (H,).
-            active: which heads had something to decide, shape (H,).
+            observations: shape (E, inputs).
+            actions: of each head, shape (E, H); any for an idle one.
+            rewards: of each, unscaled, shape (E, H).
+            next_observations: shape (E, inputs).
+            terminal: whether each head's part has ended for good, shape (E, H).
+            active: which heads had something to decide, shape (E, H).
 
         Returns:
             The mean loss, nan where no update was made.
         """
         scaled = np.multiply(rewards, self._config.reward_scale)
         chosen = np.maximum(actions, 0)
-        row = self._rows[0]
-        self._layout.pack(observation, chosen, scaled, next_observation, terminal, active, row)
-        return float(self._take_rows(self._one)[0])
+        self._layout.pack(
+            observations, chosen, scaled, next_observations, terminal, active, self._rows
+        )
+        return float(self._take_rows(self._always)[0])
 
 
 class BranchingLearner(Learner):

@@ -33,6 +33,7 @@ class DQN(ReplayAgents):
         discount: float,
         generators: Sequence[np.random.Generator],
         proximal_mu: float = 0.0,
+        worlds: int = 1,
     ) -> None:
         """Makes agents with weights of zero; `load` gives them their first ones.
 
@@ -42,13 +43,16 @@ class DQN(ReplayAgents):
             discount: at least 0 and below 1.
             generators: each agent's own, n of them.
             proximal_mu: FedProx's mu; 0 leaves the term out.
+            worlds: E, in each of which every agent acts. Rows of the arrays below are an agent's
+                worlds, side by side, and then the next agent's.
         """
         learner = Learner(shape, config, discount, len(generators), proximal_mu)
-        super().__init__(shape, config, learner, generators)
+        super().__init__(shape, config, learner, generators, worlds)
         self._layout = RowLayout(shape.inputs)
         if config.n_step > 1 and discount:  # without a discount nothing further is ahead
             self._windows = [
-                NStepBuilder(self._layout, config.n_step, discount) for _ in self._generators
+                [NStepBuilder(self._layout, config.n_step, discount) for _ in range(worlds)]
+                for _ in self._generators
             ]
 
     def act(
@@ -57,16 +61,17 @@ class DQN(ReplayAgents):
         """Chooses epsilon-greedily.
 
         Args:
-            observations: shape (n, inputs).
+            observations: shape (n E, inputs).
             epsilon: share of random actions.
-            active: who acts, shape (n,).
+            active: who acts, shape (n E,).
 
         Returns:
-            Actions, -1 for the idle, shape (n,).
+            Actions, -1 for the idle, shape (n E,).
         """
-        choices = explore(self._generators, epsilon, self.shape.actions, active)
-        self._learner.choose(observations, choices)
-        return choices
+        each = (len(self), self.worlds)
+        choices = explore(self._generators, epsilon, self.shape.actions, active.reshape(each))
+        self._learner.choose(observations.reshape(*each, -1), choices)
+        return choices.reshape(-1)
 
     def learn(
         self,
@@ -80,12 +85,12 @@ class DQN(ReplayAgents):
         """Stores the active agents' transitions and lets those learn that hold enough.
 
         Args:
-            observations: shape (n, inputs).
-            actions: shape (n,).
-            rewards: unscaled, shape (n,).
-            next_observations: shape (n, inputs).
-            terminal: whether the next state is the end, shape (n,).
-            active: who has a transition, shape (n,).
+            observations: shape (n E, inputs).
+            actions: shape (n E,).
+            rewards: unscaled, shape (n E,).
+            next_observations: shape (n E, inputs).
+            terminal: whether the next state is the end, shape (n E,).
+            active: who has a transition, shape (n E,).
 
         Returns:
             Mean losses, nan where no update was made, shape (n,).

@@ -37,6 +37,7 @@ class ReplayAgents:
         config: AgentConfig,
         learner: Learns,
         generators: Sequence[np.random.Generator],
+        worlds: int = 1,
     ) -> None:
         """Makes agents with weights of zero; `load` gives them their first ones.
 
@@ -45,13 +46,15 @@ class ReplayAgents:
             config: how they learn.
             learner: of n agents.
             generators: each agent's own, n of them.
+            worlds: E, in each of which every agent acts.
         """
         self.shape, self._config, self._learner = shape, config, learner
+        self.worlds = worlds
         self._generators = list(generators)
         width = learner.batch.shape[-1]
         self._replays = [self._new_replay(agent, width) for agent in range(len(self))]
-        self._windows: list[NStepBuilder] = []
-        self._rows: FloatArray = np.zeros((len(self), width), np.float32)
+        self._windows: list[list[NStepBuilder]] = []
+        self._rows: FloatArray = np.zeros((len(self) * worlds, width), np.float32)
         self.online: FloatArray = learner.weights[:, 0]
         self.target: FloatArray = learner.weights[:, 1]
 
@@ -79,15 +82,19 @@ class ReplayAgents:
         """Stores the active agents' rows and lets those learn that hold enough.
 
         Args:
-            active: whose of the rows counts, shape (n,).
+            active: which of the rows count, those of one agent's worlds side by side, shape (n E,).
 
         Returns:
             Mean losses, nan where no update was made, shape (n,).
         """
-        stored = [self._store(agent) if acts else 0 for agent, acts in enumerate(active.tolist())]
+        acts = active.reshape(len(self), self.worlds)
+        acting = acts.any(axis=1).tolist()
+        stored = [
+            self._store(agent, acts[agent]) if any_ else 0 for agent, any_ in enumerate(acting)
+        ]
         learning = [
-            acts and len(replay) >= self._config.learn_from
-            for acts, replay in zip(active.tolist(), self._replays, strict=True)
+            any_ and len(replay) >= self._config.learn_from
+            for any_, replay in zip(acting, self._replays, strict=True)
         ]
         losses = self._update(learning)
         for _ in range(self._config.updates - 1):
@@ -106,10 +113,18 @@ class ReplayAgents:
         places = weighing.importance[agent], weighing.error[agent]
         return PrioritisedReplay(config.replay_size, width, config.priority, *places)
 
-    def _store(self, agent: int) -> int:
-        """Stores an agent's row, or what its window has ready; returns how many were stored."""
-        row, replay = self._rows[agent], self._replays[agent]
-        ready = self._windows[agent].add(row) if self._windows else [row]
+    def _store(self, agent: int, active: NDArray[np.bool_]) -> int:
+        """Stores an agent's rows, or what its windows have ready; returns how many were stored."""
+        replay, first = self._replays[agent], agent * self.worlds
+        rows = self._rows[first : first + self.worlds]
+        if self._windows:
+            windows = self._windows[agent]
+            ready = [each for w in np.flatnonzero(active) for each in windows[w].add(rows[w])]
+        elif self.worlds > 1:
+            replay.extend(rows[active])
+            return int(np.count_nonzero(active))
+        else:
+            ready = [rows[0]]
         for each in ready:
             replay.add(each)
         return len(ready)
@@ -134,7 +149,8 @@ class ReplayAgents:
             Copies, by name.
         """
         learner, replay = self._learner, self._replays[agent]
-        window = {"window": self._windows[agent].rows()} if self._windows else {}
+        windows = self._windows[agent] if self._windows else []
+        window = {_window_name(world): each.rows() for world, each in enumerate(windows)}
         return {
             **window,
             **replay.extra_state(),
@@ -166,8 +182,8 @@ class ReplayAgents:
                 )
         self._replays[agent].restore(state["replay"], int(state["stored"][0]))
         self._replays[agent].restore_marks(state)
-        if self._windows:
-            self._windows[agent].restore(state["window"])
+        for world, window in enumerate(self._windows[agent] if self._windows else []):
+            window.restore(state[_window_name(world)])
         learner.weights[agent], learner.moments[agent] = state["weights"], state["moments"]
         learner.proximal_reference[agent], learner.steps[agent] = (
             state["anchor"],
@@ -191,3 +207,7 @@ class ReplayAgents:
                 agent,
                 {key.removeprefix(own): a for key, a in state.items() if key.startswith(own)},
             )
+
+
+def _window_name(world: int) -> str:
+    return f"window{world or ''}"

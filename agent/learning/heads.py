@@ -110,28 +110,28 @@ class HeadRows:
 
     def pack(
         self,
-        observation: ArrayLike,
+        observations: ArrayLike,
         actions: ArrayLike,
         rewards: ArrayLike,
-        next_observation: ArrayLike,
+        next_observations: ArrayLike,
         terminal: ArrayLike,
         active: ArrayLike,
         out: FloatArray,
     ) -> None:
-        """Writes a transition into a row.
+        """Writes transitions into rows.
 
         Args:
-            observation: shape (inputs,).
-            actions: of each head, shape (H,).
-            rewards: of each, shape (H,).
-            next_observation: shape (inputs,).
-            terminal: whether each head's part has ended, shape (H,).
-            active: whether each had something to decide, shape (H,).
-            out: the row to fill, shape (width,).
+            observations: shape (..., inputs).
+            actions: of each head, shape (..., H).
+            rewards: of each, shape (..., H).
+            next_observations: shape (..., inputs).
+            terminal: whether each head's part has ended, shape (..., H).
+            active: whether each had something to decide, shape (..., H).
+            out: the rows to fill, shape (..., width).
         """
-        out[: self.inputs] = observation
-        out[self.inputs : 2 * self.inputs] = next_observation
-        out[self.actions] = actions
-        out[self.rewards] = rewards
-        out[self.terminal] = terminal
-        out[self.active] = active
+        out[..., : self.inputs] = observations
+        out[..., self.inputs : 2 * self.inputs] = next_observations
+        out[..., self.actions] = actions
+        out[..., self.rewards] = rewards
+        out[..., self.terminal] = terminal
+        out[..., self.active] = active

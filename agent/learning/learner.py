@@ -132,13 +132,13 @@ class Learner:
         """Puts each agent's best action where its choice is `GREEDY`.
 
         Args:
-            observations: shape (n, inputs).
-            choices: changed in place, shape (n,).
+            observations: in each of E worlds, shape (n, E, inputs).
+            choices: changed in place, shape (n, E).
         """
         greedy = choices == GREEDY
         if greedy.any():
-            q = forward(self._layers, observations[:, None], self._head)
-            np.copyto(choices, q[:, 0].argmax(axis=1), where=greedy, casting="same_kind")
+            q = forward(self._layers, observations, self._head)
+            np.copyto(choices, q.argmax(axis=-1), where=greedy, casting="same_kind")
 
     def _new_span(self, start: int, stop: int) -> Gradients:
         part = slice(start, stop)

@@ -78,6 +78,11 @@ class PrioritisedReplay(Replay):
         self._shares[self.added % self.capacity] = self._largest
         super().add(row)
 
+    def extend(self, rows: FloatArray) -> None:
+        """Stores transitions in order, shape (m, width)."""
+        self._shares[np.arange(self.added, self.added + len(rows)) % self.capacity] = self._largest
+        super().extend(rows)
+
     def sample(self, generator: np.random.Generator, out: FloatArray) -> None:
         """Draws transitions i with chance P(i), with replacement, and sets their importance.
 

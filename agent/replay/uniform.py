@@ -91,6 +91,12 @@ class Replay:
         self._rows[self.added % self.capacity] = row
         self.added += 1
 
+    def extend(self, rows: FloatArray) -> None:
+        """Stores transitions in order, shape (m, width), of which the newest count."""
+        start = self.added + max(len(rows) - self.capacity, 0)
+        self.added += len(rows)
+        self._rows[np.arange(start, self.added) % self.capacity] = rows[start - self.added :]
+
     def sample(self, generator: np.random.Generator, out: FloatArray) -> None:
         """Draws transitions uniformly, with replacement.
 

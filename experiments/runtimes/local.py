@@ -13,6 +13,7 @@ from conf import Config
 from lockstep import Expect, LocalFleet
 from training.checkpoint import Checkpoint
 from training.controllers.central import CentralAgent
+from training.partition import step_layout
 from training.run_folder import RunFolder
 from training.session import TrainingRun
 
@@ -50,7 +51,7 @@ def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) 
         robots = tuple(range(config.env.robots))
         state = None if config.state.every is None else folder.state
         with closing(CheckpointedRobots(config, robots, state)) as keeper:
-            return session.train(InProcessFleet([(robots, keeper)]))
+            return session.train(InProcessFleet([(robots, keeper)], step_layout(config)))
     except BaseException as error:
         folder.report_failure(error)
         raise

@@ -46,14 +46,25 @@ def transition(rng, heads):
     )
 
 
+def choose(agent, seen, epsilon, active):
+    """What the agent chooses in its one world."""
+    return agent.choose(seen[None], epsilon, active[None])[0]
+
+
+def learn(agent, *transition):
+    """Lets the agent learn from a transition of its one world."""
+    *arrays, active = transition
+    return agent.learn(*(np.asarray(array)[None] for array in arrays), active[None])
+
+
 def live(agent, ticks, seed=0, skip=0):
     """Plays random transitions; returns actions and losses."""
     rng, actions, losses = np.random.default_rng(seed), [], []
     for tick in range(ticks):
         seen, _, *rest = transition(rng, agent.heads)
         if tick >= skip:
-            actions.append(agent.choose(seen, 0.3, rest[-1]))
-            losses.append(agent.learn(seen, actions[-1], *rest))
+            actions.append(choose(agent, seen, 0.3, rest[-1]))
+            losses.append(learn(agent, seen, actions[-1], *rest))
     return np.array(actions), np.array(losses)
 
 
@@ -173,9 +184,9 @@ def test_a_single_head_is_a_dqn():
     rng, on = np.random.default_rng(0), np.ones(1, bool)
     for _ in range(100):
         seen, _, reward, next_observation, terminal, _ = transition(rng, heads)
-        action = agent.choose(seen, 0.3, on)
+        action = choose(agent, seen, 0.3, on)
         assert action == plain.act(seen[None], 0.3, on)
-        agent.learn(seen, action, reward, next_observation, [terminal[0]], on)
+        learn(agent, seen, action, reward, next_observation, [terminal[0]], on)
         plain.learn(seen[None], action, reward, next_observation[None], [terminal[0]], on)
     np.testing.assert_allclose(agent.weights(), plain.weights(), rtol=0, atol=1e-6)
 
@@ -187,9 +198,9 @@ def test_an_idle_head_chooses_nothing_and_its_last_layer_learns_nothing():
     active = np.array([True, True, False])
     for _ in range(40):
         seen, _, rewards, next_observation, _, _ = transition(rng, OWN)
-        chosen = agent.choose(seen, 0.3, active)
+        chosen = choose(agent, seen, 0.3, active)
         assert chosen[2] == -1
-        agent.learn(seen, chosen, rewards, next_observation, [False, False, True], active)
+        learn(agent, seen, chosen, rewards, next_observation, [False, False, True], active)
     after = agent.shape.views(agent.online)[-1]
     for part, learns in ((slice(0, 11), True), (slice(11, 18), False)):
         assert (before[0][..., part] != after[0][..., part]).any() == learns
@@ -200,8 +211,8 @@ def test_each_head_explores_by_itself():
     config, on = small_config(), np.ones(3, bool)
     agent = agent_of(OWN, config)
     seen = np.ones(INPUTS, np.float32)
-    greedy = agent.choose(seen, 0.0, on)
-    chosen = np.array([agent.choose(seen, 0.5, on) for _ in range(2000)])
+    greedy = choose(agent, seen, 0.0, on)
+    chosen = np.array([choose(agent, seen, 0.5, on) for _ in range(2000)])
     other = chosen != greedy
     expected = 0.5 * (1 - 1 / np.array(SIZES))
     np.testing.assert_allclose(other.mean(axis=0), expected, atol=0.04)
@@ -238,9 +249,9 @@ def test_every_head_learns_its_part_of_a_decision(heads):
     right = [[(state + d) % size for d, size in enumerate(SIZES)] for state in range(INPUTS)]
     for tick in range(3000):
         state = rng.integers(INPUTS)
-        chosen = agent.choose(sight[state], max(0.3, 1 - tick / 1500), on)
+        chosen = choose(agent, sight[state], max(0.3, 1 - tick / 1500), on)
         paid = (chosen == right[state]).astype(float)
         reward = np.full(3, paid.sum()) if heads.shared else paid
-        agent.learn(sight[state], chosen, reward, sight[state], on, on)
-    found = [agent.choose(seen, 0.0, on).tolist() for seen in sight]
+        learn(agent, sight[state], chosen, reward, sight[state], on, on)
+    found = [choose(agent, seen, 0.0, on).tolist() for seen in sight]
     assert found == right

@@ -92,7 +92,7 @@ def test_one_step_is_what_no_window_gives():
     experience = Experience(shape, 2, 90, chained=True)
     plain, windowed = (fleet(shape, small_config(n_step=n), [1, 2]) for n in (1, 2))
     for agent in range(2):
-        windowed._windows[agent] = NStepBuilder(windowed._layout, 1, 0.8)
+        windowed._windows[agent] = [NStepBuilder(windowed._layout, 1, 0.8)]
     live(plain, experience, [0, 1])
     live(windowed, experience, [0, 1])
     assert same_bits(plain.weights(), windowed.weights())

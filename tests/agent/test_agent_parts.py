@@ -17,7 +17,7 @@ from agent import (
     epsilon_at,
 )
 from agent.config import rules
-from agent.exploration import GREEDY, NO_ACTION, explore
+from agent.exploration import GREEDY, NO_ACTION, _explore_in_worlds, explore
 from agent.learning.losses import double_dqn_values, dqn_values, huber, td_target
 from agent.replay.uniform import Replay, RowLayout
 from env import validate
@@ -125,22 +125,32 @@ def test_epsilon_falls_linearly_and_stays():
     assert epsilon_at(config, 10**9) == pytest.approx(0.05)
 
 
-def test_idle_agents_draw_nothing_and_others_draw_alike_in_any_stack():
+@pytest.mark.parametrize("worlds", [1, 3])
+def test_idle_agents_draw_nothing_and_others_draw_alike_in_any_stack(worlds):
     rngs = generators([1, 2, 3])
-    active = np.array([True, False, True])
-    many = [explore(rngs, 0.5, 6, active) for _ in range(200)]
+    active = np.array([True, False, True])[:, None].repeat(worlds, axis=1)
+    many = np.array([explore(rngs, 0.5, 6, active) for _ in range(200)])
     alone = generators([3])
-    single = [explore(alone, 0.5, 6, np.array([True])) for _ in range(200)]
-    assert [choice[2] for choice in many] == [choice[0] for choice in single]
-    assert {choice[1] for choice in many} == {NO_ACTION}
+    single = np.array([explore(alone, 0.5, 6, active[2:]) for _ in range(200)])
+    assert (many[:, 2] == single[:, 0]).all()
+    assert (many[:, 1] == NO_ACTION).all()
     assert same_bits(generator_state(rngs[1]), generator_state(generators([2])[0]))
 
 
-def test_epsilon_is_the_share_of_random_actions():
-    rngs = generators([1])
-    picks = np.array([explore(rngs, 0.3, 6, np.array([True]))[0] for _ in range(4000)])
+@pytest.mark.parametrize("worlds", [1, 40])
+def test_epsilon_is_the_share_of_random_actions(worlds):
+    rngs, everywhere = generators([1]), np.ones((1, worlds), dtype=bool)
+    picks = np.array([explore(rngs, 0.3, 6, everywhere) for _ in range(4000 // worlds)]).ravel()
     assert np.mean(picks != GREEDY) == pytest.approx(0.3, abs=0.03)
     assert set(picks) == {GREEDY, 0, 1, 2, 3, 4, 5}
+
+
+def test_the_many_worlds_of_an_agent_draw_as_its_one_world_does():
+    active = np.array([[True]])
+    one, many = generators([4]), generators([4])
+    scalar = [explore(one, 0.5, 6, active)[0, 0] for _ in range(200)]
+    drawn = [_explore_in_worlds(many, 0.5, 6, active)[0, 0] for _ in range(200)]
+    assert scalar == drawn
 
 
 def test_a_stream_is_restored_to_its_place():

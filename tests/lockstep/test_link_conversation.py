@@ -235,7 +235,7 @@ ONE = np.zeros(1, np.int32)
         (b"GET / HTTP/1.1\r\n\r\n", "not a frame"),
         (encode(Actions(1, ONE))[:8] + b"\xff\xff\xff\x7f", "of at most"),
         (Actions(2, ONE), "of tick 1"),
-        (Actions(1, np.zeros(2, np.int32)), "2 actions for 1 robots"),
+        (Actions(1, np.zeros(2, np.int32)), "2 actions where 1 are due"),
         (encode(Actions(1, ONE)) * 2, "out of turn"),
         (Weights(1, np.zeros((1, *SHAPE), np.float32)), "Weights where actions"),
         (Welcome(), "Welcome where actions"),

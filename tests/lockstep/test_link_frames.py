@@ -14,6 +14,7 @@ from lockstep.errors import FrameError
 from lockstep.frames import actions_in, decode, encode
 from lockstep.messages import (
     MAX_ROBOTS,
+    PLAIN,
     UPDATE,
     VERSION,
     Actions,
@@ -91,8 +92,8 @@ def test_a_message_comes_out_of_its_frame_as_it_went_in(message):
 
 def test_frames_have_the_announced_sizes():
     step = Step(1, 1, Expect.ACTIONS, np.zeros(3, UPDATE))
-    assert len(encode(step)) == step_size(3)
-    assert len(encode(Actions(1, np.zeros(3, np.int32)))) == actions_size(3)
+    assert len(encode(step)) == step_size(3, PLAIN)
+    assert len(encode(Actions(1, np.zeros(3, np.int32)))) == actions_size(3, PLAIN)
     assert len(encode(Weights(1, np.zeros((3, 2, 5), np.float32)))) == weights_size((3, 2, 5))
     assert UPDATE.itemsize == 26
 
@@ -244,7 +245,7 @@ def test_what_does_not_fit_its_frame_is_not_sent(message):
 def test_actions_must_answer_the_step():
     frame = memoryview(encode(Actions(7, np.array([3, -1], np.int32))))
     assert actions_in(frame, 7, 2).tolist() == [3, -1]
-    for tick, count, match in ((8, 2, "of tick 8"), (7, 3, "2 actions for 3 robots")):
+    for tick, count, match in ((8, 2, "of tick 8"), (7, 3, "2 actions where 3 are due")):
         with pytest.raises(FrameError, match=match):
             actions_in(frame, tick, count)
     with pytest.raises(FrameError, match="Welcome"):

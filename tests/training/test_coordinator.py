@@ -23,6 +23,7 @@ from lockstep import Expect, LinkServer, ServerLost, serve
 from lockstep.messages import Flag
 from training.aggregation.strategies import build_aggregator
 from training.coordinator import Coordinator
+from training.partition import step_layout
 
 SHAPE = (2, 7)
 Log = list[tuple[Any, ...]]
@@ -44,6 +45,11 @@ class SpiedWorld(World):
 
     def reset(self, start: Any = None, fading: Any = None) -> None:
         super().reset(start, fading)
+        self.starts.append(self.cell[0])
+        self.starts_db.append(self.measured_db[0])
+
+    def restart(self, worlds: Any) -> None:
+        super().restart(worlds)
         self.starts.append(self.cell[0])
         self.starts_db.append(self.measured_db[0])
 
@@ -400,7 +406,8 @@ def over_tcp(
     """A run whose robots are behind sockets, each block on a thread of its own."""
     shape = (2, robot_network(config).parameters)
     first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
-    link = LinkServer("127.0.0.1", 0, fingerprint="test", timeout_s=20)
+    layout = step_layout(config)
+    link = LinkServer("127.0.0.1", 0, fingerprint="test", timeout_s=20, layout=layout)
     raised: list[BaseException] = []
 
     def client(block: tuple[int, ...]) -> None:
@@ -409,7 +416,7 @@ def over_tcp(
         tokens = [f"secret-{robot}" for robot in block]
         options = {"fingerprint": "test", "timeout_s": 20.0, "n_parameters": shape[1]}
         try:
-            serve(link.address, block, tokens, robots, **options)
+            serve(link.address, block, tokens, robots, layout=layout, **options)
         except ServerLost as error:
             raised.append(error)
 
@@ -441,21 +448,35 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others(
     assert (drifts > 1e-3).all()
 
 
-@pytest.mark.parametrize("strategy", ["fedavg", "none"])
-def test_grouping_changes_no_bit(tiny: Tiny, play: Callable[..., Any], strategy: str) -> None:
-    config = tiny({"strategy.name": strategy, "train.max_ticks": 200})
+@pytest.mark.parametrize(("strategy", "worlds"), [("fedavg", 1), ("none", 1), ("fedavg", 3)])
+def test_grouping_changes_no_bit(
+    tiny: Tiny, play: Callable[..., Any], strategy: str, worlds: int
+) -> None:
+    changes = {"strategy.name": strategy, "train.max_ticks": 200, "train.worlds": worlds}
+    config = tiny(changes)
     found = {play(config, blocks).digests for blocks in BLOCKS}
     assert len(found) == 1
 
 
-def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any]) -> None:
-    config = tiny({"train.max_ticks": 200})
+@pytest.mark.parametrize("worlds", [1, 3])
+def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any], worlds: int) -> None:
+    config = tiny({"train.max_ticks": 200, "train.worlds": worlds})
     expected = play(config).digests
     for blocks in BLOCKS[1:]:
         played, raised = over_tcp(config, blocks, play)
         assert played.digests == expected
         assert len(raised) == len(blocks)
         assert all("the server has closed the link" in str(error) for error in raised)
+
+
+def test_each_world_plays_its_own_episodes(tiny: Tiny, play: Callable[..., Any]) -> None:
+    """Worlds begin anew by themselves, and all that happens in them is learned from."""
+    config = tiny({"train.max_ticks": 200, "train.worlds": 3, "env.motion.max_slots": 60})
+    played = play(config)
+    ends = [tick for _, tick, *_ in played.watcher.episodes]
+    assert len(ends) >= 9
+    assert ends == sorted(ends)
+    assert len({*ends}) > 3
 
 
 # --- Strategies -----------------------------------------------------------------------------------

@@ -107,11 +107,11 @@ class AccessPoint(NetworkAgent):
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
-        self._always = np.ones(1, dtype=bool)
+        self._always = np.ones(config.train.worlds, dtype=bool)
 
     def _new_agent(self, generator: np.random.Generator) -> DQN:
-        agent = self._config.agent
-        return DQN(self.shape, agent, agent.discount.ap, [generator])
+        agent, worlds = self._config.agent, self._config.train.worlds
+        return DQN(self.shape, agent, agent.discount.ap, [generator], worlds=worlds)
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
         """See ``RisController.act``."""
