@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conf import Config
+from conf import Config, robot_actions
 from env.episode import EpisodeAccumulator
 from env.world import StepResult, World
 from lockstep import UPDATE, Expect, Flag, Fleet
@@ -55,7 +55,7 @@ class Coordinator:
         stop: Callable[[], bool] = lambda: False,
         keep: Callable[[bool], None] = lambda final: None,
     ) -> None:
-        self._config = config
+        self._config, self._actions = config, robot_actions(config)
         self._world, self._ap, self._fleet = world, ap, fleet
         self._aggregator = aggregator
         self._observer = observer
@@ -141,30 +141,29 @@ class Coordinator:
             self._observer.on_start()
             self._started = True
         for left in reversed(range(self._config.federation.every)):
-            chosen = self._ap.act(self._state, self.progress.tick)
-            direction, level = self._robots_actions()
-            phase = self._ap.finalize_phase(self._world, chosen.astype(np.int64), level)
+            action = self._ap.act(self._state, self.progress.tick).astype(np.int64)
+            direction, picks = self._robots_actions()
+            phase, level = self._ap.serve(self._world, action, picks)
             outcome = self._world.step(phase, direction, level)
             self.progress.tick += 1
-            expect = self._pass_on(window, phase, outcome, last=left == 0)
+            expect = self._pass_on(window, action, outcome, last=left == 0)
         return expect is Expect.END_ROUND
 
     def _robots_actions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Waits for the robots' actions, checked: directions and power levels, (1, K) each."""
+        """Waits for the robots' actions, checked: directions and power picks, (1, K) each."""
         began = time.perf_counter()
         chosen = self._fleet.actions(self.progress.tick).astype(np.int64)
         self.waited_s += time.perf_counter() - began
-        space = self._world.scenario.actions
-        most = space.count - 1
+        most = self._actions.count - 1
         for robot, action in enumerate(chosen.tolist()):
             if not -1 <= action <= most:
                 raise ValueError(
                     f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
                 )
-        return space.decode(chosen[None])
+        return self._actions.decode(chosen[None])
 
     def _pass_on(
-        self, window: int, phase: NDArray[np.int64], outcome: StepResult, *, last: bool
+        self, window: int, action: NDArray[np.int64], outcome: StepResult, *, last: bool
     ) -> Expect:
         """Sends the robots the results of their actions; the AP learns while they do.
 
@@ -184,7 +183,7 @@ class Coordinator:
         if next_observation is None:
             next_observation = self._count(outcome)
         self._state = self._world.global_observation() if ended else next_observation
-        self._ap.learn(seen, phase, outcome, next_observation)
+        self._ap.learn(seen, action, outcome, next_observation)
         return expect
 
     def _count(self, outcome: StepResult) -> NDArray[np.float32]:

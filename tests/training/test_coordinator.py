@@ -105,8 +105,8 @@ class ScriptedPoint:
         self.log.append(("act", tick))
         return np.array([tick % 4])
 
-    def finalize_phase(self, world: Any, phase: Any, level: Any) -> Any:
-        return phase
+    def serve(self, world: Any, action: Any, picks: Any) -> Any:
+        return action, picks
 
     def learn(self, state: Any, action: Any, outcome: StepResult, next_observation: Any) -> None:
         self.log.append(("learn", int(action[0])))

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import DQN, NO_ACTION, BranchingDQN, epsilon_at
-from conf import Config, central_heads
-from env.mdp.actions import ActionSpace
+from conf import Config, central_heads, robot_actions
 from env.world import StepResult
 from lockstep import Expect, Flag
 from training.controllers.access_point import NetworkAgent
@@ -75,7 +74,7 @@ class CentralAgent(NetworkAgent):
 
     @abstractmethod
     def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
-        """The phase action, and actions of the robots, shape (K,), of any value if not driving."""
+        """Its own action, and those of the robots, shape (K,), of any value if not driving."""
 
     @abstractmethod
     def learn(
@@ -89,13 +88,13 @@ class CentralAgent(NetworkAgent):
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
         """See ``RisController.act``: decides for the robots, too."""
-        phase, orders = self._decide(state, epsilon_at(self._epsilon, tick))
+        action, orders = self._decide(state, epsilon_at(self._epsilon, tick))
         self.fleet.orders = np.where(self.fleet.driving, orders, NO_ACTION).astype(np.int32)
-        return np.array([phase])
+        return np.array([action])
 
 
 class JointAgent(CentralAgent):
-    """Baseline 1: one DQN over the joint actions, N_R^N (4 N_P)^K of them.
+    """Baseline 1: one DQN over the joint actions, N_R^N (4 N_P)^K where robots pick powers.
 
     Its reward is sum_k r_{L,k} + r_G / 10. The part of a robot that has arrived has no effect.
     """
@@ -107,11 +106,10 @@ class JointAgent(CentralAgent):
         return DQN(self.shape, self._config.agent, discount, [generator])
 
     def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
-        env = self._config.env
+        space, robots = robot_actions(self._config), self._config.env.robots
         self._joint = self.agent.act(state, epsilon, np.ones(1, dtype=bool))
-        space = ActionSpace.from_config(env)
-        phase, orders = space.joint_decode(self._joint.astype(np.int64), env.robots)
-        return int(phase[0]), orders[0].astype(np.int32)
+        action, orders = space.joint_decode(self._joint.astype(np.int64), robots)
+        return int(action[0]), orders[0].astype(np.int32)
 
     def learn(
         self,
