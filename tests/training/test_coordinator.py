@@ -448,8 +448,9 @@ def test_grouping_changes_no_bit(tiny: Tiny, play: Callable[..., Any], strategy:
     assert len(found) == 1
 
 
-def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any]) -> None:
-    config = tiny({"train.max_ticks": 200})
+@pytest.mark.parametrize("power", ["robots", "ap", "search"])
+def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any], power: str) -> None:
+    config = tiny({"train.max_ticks": 200, "scheme.power": power})
     expected = play(config).digests
     for blocks in BLOCKS[1:]:
         played, raised = over_tcp(config, blocks, play)
