@@ -26,8 +26,7 @@ from agent import single_threaded
 from benchmarks.clients import SPAN, ClientProcesses, Mode, connected_clients
 from benchmarks.local import ServerSide, configured
 from benchmarks.result import Result, Threshold
-from conf import Config, robot_network
-from env.mdp.actions import ActionSpace
+from conf import Config, robot_actions, robot_network
 from lockstep import UPDATE, Expect, Flag, Fleet, LinkServer
 
 TARGET = Threshold(0.02, at_least=False)
@@ -80,7 +79,7 @@ class FakeFleet:
 
     def __init__(self, config: Config) -> None:
         rng = np.random.default_rng(0)
-        robots, count = config.env.robots, ActionSpace.from_config(config.env).count
+        robots, count = config.env.robots, robot_actions(config).count
         self._moves = rng.integers(count, size=(1024, robots)).astype(np.int32)
         size = (robots, 2, robot_network(config).parameters)
         self._weights = rng.normal(size=size).astype(np.float32)

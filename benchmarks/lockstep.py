@@ -36,6 +36,7 @@ from client_app.robots import RobotGroup
 from conf import Config
 from experiments.runtimes.local import InProcessFleet
 from lockstep import Expect, Robots, Step
+from lockstep.messages import PLAIN
 from lockstep.wire_format import actions_size, step_size
 
 BOUND_HOW = (
@@ -161,7 +162,7 @@ class PartedRun(ServerSide):
 
 def exchanges(config: Config, steps: int, blocks: int) -> dict[str, NDArray[np.float64]]:
     """Wall seconds of an exchange with idle processes, ``bare`` or over the ``link``, (blocks,)."""
-    sizes = step_size(1), actions_size(1)
+    sizes = step_size(1, PLAIN), actions_size(1, PLAIN)
     with echoing(config.env.robots, sizes) as bare, connected_clients(config) as clients:
         link = Exchanges(clients.link, config.env.robots)
         variants: dict[str, Callable[[int], object]] = {"bare": bare, "link": link}

@@ -5,10 +5,12 @@ from conf.compose import compose, from_yaml, overridden, register_schema, to_yam
 from conf.errors import ConfigError
 from conf.fingerprint import fingerprint, version
 from conf.networks import (
+    ap_actions,
     ap_network,
     central_heads,
     joint_actions,
     learns_nothing,
+    robot_actions,
     robot_network,
     robots_learn,
     weight_shapes,
@@ -27,6 +29,7 @@ __all__ = [
     "ConfigError",
     "SchemeConfig",
     "StrategyConfig",
+    "ap_actions",
     "ap_network",
     "central_heads",
     "compose",
@@ -38,6 +41,7 @@ __all__ = [
     "overridden",
     "problems",
     "register_schema",
+    "robot_actions",
     "robot_network",
     "robots_learn",
     "to_yaml",

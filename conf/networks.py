@@ -5,16 +5,35 @@ from __future__ import annotations
 from agent import Heads, NetworkShape
 from conf.schema import Config
 from env.config import phase_actions
+from env.downlink.combinations import count_combinations
 from env.mdp.actions import ActionSpace
 from env.mdp.observation import ObservationEncoder
 
 
+def robot_actions(config: Config) -> ActionSpace:
+    """What a robot chooses: a direction and a power level, or where others pick powers no level."""
+    own = config.scheme.power == "robots"
+    return ActionSpace.from_config(config.env) if own else ActionSpace(1)
+
+
+def ap_actions(config: Config) -> int:
+    """The actions of the access point, or of the head in its place.
+
+    They are its phase settings or its codebook's beams; with ``scheme.power=ap`` a setting c and
+    one of C combinations of powers i make action c C + i.
+    """
+    phases = phase_actions(config.env.ris)
+    if config.scheme.power != "ap":
+        return phases
+    return phases * count_combinations(config.env, config.env.robots)
+
+
 def robot_network(config: Config) -> NetworkShape:
-    """The DQN of each robot: s_L to 4 N_P actions."""
+    """The DQN of each robot: s_L to 4 N_P actions, or 4 where others pick powers."""
     return NetworkShape(
         ObservationEncoder(config.env).local_size,
         tuple(config.agent.hidden),
-        ActionSpace.from_config(config.env).count,
+        robot_actions(config).count,
         config.agent.dueling,
     )
 
@@ -22,10 +41,10 @@ def robot_network(config: Config) -> NetworkShape:
 def ap_network(config: Config) -> NetworkShape:
     """The network that sees s_G: the access point's, or that of one agent for everything.
 
-    The access point's goes to its phase settings or its codebook's beams, a centralized DQN's to
-    all joint actions, a branching one's to the actions of all heads.
+    The access point's goes to its own actions, a centralized DQN's to all joint actions, a
+    branching one's to the actions of all heads.
     """
-    outputs = phase_actions(config.env.ris)
+    outputs = ap_actions(config)
     if config.scheme.agents == "centralized":
         outputs = joint_actions(config)
     elif config.scheme.agents == "branching":
@@ -35,9 +54,8 @@ def ap_network(config: Config) -> NetworkShape:
 
 
 def joint_actions(config: Config) -> int:
-    """The actions of all agents taken together, N_R^N (4 N_P)^K."""
-    env = config.env
-    return ActionSpace.from_config(env).joint_count(phase_actions(env.ris), env.robots)
+    """The actions of all agents taken together, N_R^N (4 N_P)^K where robots pick powers."""
+    return robot_actions(config).joint_count(ap_actions(config), config.env.robots)
 
 
 def central_heads(config: Config) -> Heads:
@@ -45,11 +63,11 @@ def central_heads(config: Config) -> Heads:
 
     With rewards of their own, heads have the discounts of the agents in whose place they stand.
     """
-    env, discount = config.env, config.agent.discount
+    discount, robots = config.agent.discount, config.env.robots
     shared = config.scheme.heads == "shared"
     return Heads(
-        (phase_actions(env.ris), *[ActionSpace.from_config(env).count] * env.robots),
-        (discount.robot if shared else discount.ap, *[discount.robot] * env.robots),
+        (ap_actions(config), *[robot_actions(config).count] * robots),
+        (discount.robot if shared else discount.ap, *[discount.robot] * robots),
         shared,
     )
 

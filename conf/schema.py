@@ -45,6 +45,11 @@ class SchemeConfig:
         Literal["learned", "shortest_canonical", "shortest_best"],
         "the last two: shortest ways",
     ] = "learned"
+    power: Annotated[
+        str,
+        Literal["robots", "ap", "search"],
+        "who picks powers: each robot its own, the access point's DQN, or a search in each slot",
+    ] = "robots"
     heads: Annotated[str, Literal["own", "shared"], "branching: whose reward"] = "own"
     global_share: Annotated[NotNegative, "of r_G in a reward for everything (Baseline 1)"] = 0.1
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from agent.config import AgentConfig
-from conf.networks import joint_actions
+from conf.networks import ap_actions, joint_actions
 from conf.schema import Config, SchemeConfig
+from env.downlink.combinations import count_combinations
+from env.oracles.per_slot import MAX_COMBINATIONS
 from env.validate import Problem
 
 MOST_JOINT_ACTIONS = 100_000
-"""A network's outputs for a centralized DQN: K = 3 with the paper's actions has 55,296."""
+"""A network's outputs: a centralized DQN of K = 3 with the paper's actions has 55,296."""
 
 
 def rules(config: Config) -> Iterator[Problem]:
@@ -21,6 +23,8 @@ def rules(config: Config) -> Iterator[Problem]:
     """
     scheme = config.scheme
     found = list(_unread_keys(scheme))
+    if not found and scheme.power != "robots":
+        found = list(_power_problems(config))
     if not found and scheme.agents != "federated":
         found = list(_central_problems(config))
     if not found and scheme.robots != "learned":
@@ -41,6 +45,46 @@ def _unread_keys(scheme: SchemeConfig) -> Iterator[Problem]:
             " scheme.heads=shared, read it"
         )
         yield "scheme.global_share", scheme.global_share, say
+
+
+def _power_problems(config: Config) -> Iterator[Problem]:
+    """Powers that robots do not pick: with what else that goes, and how many there may be."""
+    scheme, power = config.scheme, config.env.power
+    who = f"scheme.power={scheme.power}"
+    if scheme.robots != "learned":
+        say = f"robots with scheme.robots={scheme.robots}, which has a rule for powers of its own"
+        yield "scheme.power", scheme.power, say
+    elif scheme.power == "search":
+        yield from _search_problems(config)
+    elif scheme.phase != "learned":
+        say = f"learned with {who}: one DQN picks the phase and the powers together"
+        yield "scheme.phase", scheme.phase, say
+    elif config.env.access == "noma" and power.resolve != "project":
+        say = f"project with {who}: it picks among powers that can be decoded"
+        yield "env.power.resolve", power.resolve, say
+    elif scheme.agents != "centralized" and (count := ap_actions(config)) > MOST_JOINT_ACTIONS:
+        say = (
+            f"fewer with {who}: phase settings times combinations of powers are {_about(count)},"
+            f" and at most {MOST_JOINT_ACTIONS:,} are taken"
+        )
+        yield "env.power.levels", power.levels, say
+
+
+def _search_problems(config: Config) -> Iterator[Problem]:
+    """More powers than are searched in a slot, with any number of robots driving."""
+    env = config.env
+    count = max(count_combinations(env, served) for served in range(1, env.robots + 1))
+    if count > MAX_COMBINATIONS:
+        say = (
+            f"fewer with scheme.power=search: these are {_about(count)} combinations of powers in"
+            f" a slot, and at most {MAX_COMBINATIONS:,} are searched"
+        )
+        yield "env.power.levels", env.power.levels, say
+
+
+def _about(count: int) -> str:
+    """A count that may be astronomical."""
+    return f"{count:,}" if count < 10**12 else f"{count:.1e}"
 
 
 def _central_problems(config: Config) -> Iterator[Problem]:

@@ -129,6 +129,11 @@ class World:
         """Fewest slots that are left to each robot's destination, shape (B, K)."""
         return self.slots_to_go[self.cell, self._robot]
 
+    @property
+    def rate_weights(self) -> NDArray[np.float64]:
+        """What each robot counts for where powers are searched, shape (B, K): all the same."""
+        return np.ones(self.cell.shape)
+
     def channel(self, phase_action: NDArray[np.int64]) -> NDArray[np.complex128]:
         """The combined channel h_k of every robot in this slot.
 

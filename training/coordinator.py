@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conf import Config
+from conf import Config, robot_actions
 from env.episode import EpisodeAccumulator
 from env.world import StepResult, World
 from lockstep import Expect, Flag, Fleet
@@ -57,6 +57,7 @@ class Coordinator:
         keep: Callable[[bool], None] = lambda final: None,
     ) -> None:
         self._config, self._record = config, step_layout(config).record
+        self._actions = robot_actions(config)
         self._world, self._ap, self._fleet = world, ap, fleet
         self._aggregator = aggregator
         self._observer = observer
@@ -142,31 +143,30 @@ class Coordinator:
             self._observer.on_start()
             self._started = True
         for left in reversed(range(self._config.federation.every)):
-            chosen = self._ap.act(self._state, self.progress.tick)
-            direction, level = self._robots_actions()
-            phase = self._ap.finalize_phase(self._world, chosen.astype(np.int64), level)
+            action = self._ap.act(self._state, self.progress.tick).astype(np.int64)
+            direction, picks = self._robots_actions()
+            phase, level = self._ap.serve(self._world, action, picks)
             outcome = self._world.step(phase, direction, level)
             self.progress.tick += 1
-            expect = self._pass_on(window, phase, outcome, last=left == 0)
+            expect = self._pass_on(window, action, outcome, last=left == 0)
         return expect is Expect.END_ROUND
 
     def _robots_actions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Waits for the robots' actions, checked: directions and power levels, (E, K) each."""
+        """Waits for the robots' actions, checked: directions and power picks, (E, K) each."""
         began = time.perf_counter()
         chosen = self._fleet.actions(self.progress.tick).astype(np.int64)
         self.waited_s += time.perf_counter() - began
-        space = self._world.scenario.actions
-        most, worlds = space.count - 1, len(self._world.cell)
+        most, worlds = self._actions.count - 1, len(self._world.cell)
         for row, action in enumerate(chosen.tolist()):
             if not -1 <= action <= most:
                 robot = row // worlds
                 raise ValueError(
                     f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
                 )
-        return space.decode(chosen.reshape(-1, worlds).T)
+        return self._actions.decode(chosen.reshape(-1, worlds).T)
 
     def _pass_on(
-        self, window: int, phase: NDArray[np.int64], outcome: StepResult, *, last: bool
+        self, window: int, action: NDArray[np.int64], outcome: StepResult, *, last: bool
     ) -> Expect:
         """Sends the robots the results of their actions; the AP learns while they do.
 
@@ -187,7 +187,7 @@ class Coordinator:
         if next_observation is None:
             next_observation = self._count(outcome)
         self._state = self._world.global_observation() if ends else next_observation
-        self._ap.learn(seen, phase, outcome, next_observation)
+        self._ap.learn(seen, action, outcome, next_observation)
         return expect
 
     def _count(self, outcome: StepResult) -> NDArray[np.float32]:
@@ -237,6 +237,5 @@ class Coordinator:
 
 def _by_robot(values: NDArray[Any]) -> NDArray[Any]:
     """Rows of a step, shape (K E, ...), of values of shape (E, K, ...)."""
-    if len(values) == 1:
-        return values[0]
-    return values.swapaxes(0, 1).reshape(values.shape[0] * values.shape[1], *values.shape[2:])
+    by_robot = values.swapaxes(0, 1)
+    return by_robot.reshape(values.shape[0] * values.shape[1], *values.shape[2:])

@@ -13,9 +13,7 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 from training.controllers.policies import Exploration, PolicyWeights, frozen_policy
-
-Served = tuple[NDArray[np.int64], NDArray[np.int64]]
-"""The AP's actions, shape (B,), and power levels, shape (B, K)."""
+from training.controllers.service import Served
 
 
 class Evaluator:

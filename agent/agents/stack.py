@@ -88,7 +88,7 @@ class ReplayAgents:
             Mean losses, nan where no update was made, shape (n,).
         """
         acts = active.reshape(len(self), self.worlds)
-        acting = acts.any(axis=1).tolist()
+        acting: list[bool] = np.logical_or.reduce(acts, axis=1).tolist()
         stored = [
             self._store(agent, acts[agent]) if any_ else 0 for agent, any_ in enumerate(acting)
         ]

@@ -23,6 +23,11 @@ def decoding_order(gain: NDArray[np.float64], served: NDArray[np.bool_]) -> NDAr
     return np.where(served, -gain, np.inf).argsort(axis=-1, kind="stable")
 
 
+def ranks(gain: NDArray[np.float64], served: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Each robot's rank in ``decoding_order``, 0 the strongest, shape (..., K)."""
+    return np.argsort(decoding_order(gain, served), axis=-1)
+
+
 def sic_margins(gain: NDArray[np.float64], power_w: NDArray[np.float64]) -> NDArray[np.float64]:
     """Delta_k of Eq. (2): how far signal k stands out at robot k-1.
 

@@ -9,14 +9,14 @@ settings and ties going to the lowest action.
 
 from __future__ import annotations
 
-from itertools import combinations, product
-from math import comb
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from env.downlink import access
+from env.downlink.combinations import count_combinations, levels_by_rank
 from env.geometry.floor import STEPS
 from env.mdp import reward
 from env.mdp.reward import motion_energy_j
@@ -52,13 +52,18 @@ def shortest_directions(world: World) -> NDArray[np.int64]:
 
 def phase_gains(world: World) -> NDArray[np.float64]:
     """|h_k|^2 of every robot under every phase setting, shape (B, A, K)."""
-    return _gains(world, np.arange(len(world.cell)), np.arange(world.phase_actions))
+    return _gains(world, np.arange(len(world.cell)), np.arange(world.phase_actions)[None])
+
+
+def gains(world: World, phase: NDArray[np.int64]) -> NDArray[np.float64]:
+    """|h_k|^2 of every robot under one phase setting of each world, (B,), shape (B, K)."""
+    return _gains(world, np.arange(len(world.cell)), phase[:, None])[:, 0]
 
 
 def _gains(world: World, rows: NDArray[np.int64], phases: NDArray[np.int64]) -> NDArray[np.float64]:
-    """|h_k|^2 of some of the worlds under some of the phase settings, shape (b, a, K)."""
+    """|h_k|^2 of b of the worlds under a phase settings, (1, a) or (b, a); shape (b, a, K)."""
     direct = world.direct[rows][:, None] if world.config.channel.fading == "slot" else None
-    return world.radio_map.gain(world.cell[rows][:, None], phases[None], direct)
+    return world.radio_map.gain(world.cell[rows][:, None], phases, direct)
 
 
 def canonical_levels(
@@ -76,7 +81,7 @@ def canonical_levels(
     """
     gain, driving = np.broadcast_arrays(gain, driving)
     count = driving.sum(axis=-1, keepdims=True)
-    return np.asarray(np.clip(count - _ranks(gain, driving), 1, levels))
+    return np.asarray(np.clip(count - access.ranks(gain, driving), 1, levels))
 
 
 def best_phase(
@@ -92,10 +97,10 @@ def best_phase(
     Returns:
         The AP's actions, shape (B,).
     """
-    phases, weights = np.arange(world.phase_actions), _weights(world, weights)
+    phases, weights = np.arange(world.phase_actions)[None], _weights(world, weights)
     picks = level if level.ndim > 2 else level[:, None]
     best = np.zeros(len(world.cell), dtype=np.int64)
-    for at in _parts(np.arange(len(best)), max(1, MAX_COMBINATIONS // len(phases))):
+    for at in _parts(np.arange(len(best)), max(1, MAX_COMBINATIONS // phases.size)):
         metric = _metric(world, _gains(world, at, phases), picks[at], world.driving[at][:, None])
         best[at] = (metric * weights[at][:, None]).sum(axis=-1).argmax(axis=-1)
     return best
@@ -122,6 +127,31 @@ def best_phase_and_powers(
     """
     best = best_slots(world, _weights(world, weights)[None])
     return best.phase[0], best.level[0]
+
+
+def best_powers(
+    world: World, phase: NDArray[np.int64], weights: NDArray[np.float64] | None = None
+) -> NDArray[np.int64]:
+    """The power levels with the largest sum of the metric, given the phase setting.
+
+    What is searched is as in ``best_phase_and_powers``, for one setting of each world.
+
+    Args:
+        world: B worlds; not changed.
+        phase: the AP's actions, shape (B,).
+        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
+
+    Returns:
+        Levels, shape (B, K), 1 for a robot not driving.
+
+    Raises:
+        ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
+    """
+    weights = _weights(world, weights)[None]
+    best = _nothing_found(world, weights)
+    for at, ranked in _searches(world, 1):
+        _search(world, at, phase[at, None], ranked, weights[:, at], best)
+    return best.level[0]
 
 
 def objective_weights(world: World, slots: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -157,20 +187,28 @@ def best_slots(world: World, weights: NDArray[np.float64]) -> BestSlots:
     Raises:
         ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
     """
-    shape = weights.shape[:2]
-    best = BestSlots(
-        np.zeros(shape), np.zeros(shape, dtype=np.int64), np.ones(weights.shape, dtype=np.int64)
-    )
+    best, phases = _nothing_found(world, weights), np.arange(world.phase_actions)
+    for at, ranked in _searches(world, len(phases)):
+        for tried in _parts(phases, max(1, MAX_COMBINATIONS // len(ranked))):
+            _search(world, at, tried[None], ranked, weights[:, at], best)
+    return best
+
+
+def _nothing_found(world: World, weights: NDArray[np.float64]) -> BestSlots:
+    """Best slots before any search, under weights (W, B, K): below all where somebody drives."""
+    value = np.tile(np.where(world.driving.any(axis=-1), -np.inf, 0.0), (len(weights), 1))
+    levels = np.ones(weights.shape, dtype=np.int64)
+    return BestSlots(value, np.zeros(value.shape, dtype=np.int64), levels)
+
+
+def _searches(world: World, phases: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Worlds that are searched at once under so many phases, and the levels to try by rank."""
     count = world.driving.sum(axis=-1)
     for driving in np.unique(count[count > 0]):
         ranked = _ranked_levels(world, int(driving))
-        phases = min(world.phase_actions, max(1, MAX_COMBINATIONS // len(ranked)))
         at_once = max(1, MAX_COMBINATIONS // (phases * len(ranked)))
         for at in _parts(np.flatnonzero(count == driving), at_once):
-            best.value[:, at] = -np.inf
-            for tried in _parts(np.arange(world.phase_actions), phases):
-                _search(world, at, tried, ranked, weights[:, at], best)
-    return best
+            yield at, ranked
 
 
 def _parts(items: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
@@ -190,48 +228,36 @@ def _search(
     weights: NDArray[np.float64],
     best: BestSlots,
 ) -> None:
-    """Puts into ``best`` what a of the phases with C levels by rank, shape (C, K), improve.
+    """Puts into ``best`` what a phases, (1, a) or (b, a), with levels by rank, (C, K), improve.
 
     Each rank's level is dealt to the robot that holds the rank under the phase.
     """
     gain, driving = _gains(world, rows, phases), world.driving[rows]
     served = np.broadcast_to(driving[:, None], gain.shape)
-    picks = np.moveaxis(ranked[:, _ranks(gain, served)], 0, 2)  # (b, a, C, K)
+    picks = np.moveaxis(ranked[:, access.ranks(gain, served)], 0, 2)  # (b, a, C, K)
     metric = _metric(world, gain[:, :, None], picks, served[:, :, None])
     metric, at = metric.reshape(len(rows), -1, world.robots), np.arange(len(rows))
+    phases = np.broadcast_to(phases, gain.shape[:2])
     for index, weight in enumerate(weights):
         sums = (metric @ weight[:, :, None])[..., 0]
         choice = sums.argmax(axis=-1)
         better = sums[at, choice] > best.value[index, rows]
         place = choice[better]
         best.value[index, rows[better]] = sums[at[better], place]
-        best.phase[index, rows[better]] = phases[place // len(ranked)]
+        best.phase[index, rows[better]] = phases[better, place // len(ranked)]
         found = picks.reshape(metric.shape)[at[better], place]
         best.level[index, rows[better]] = np.where(driving[better], found, 1)
 
 
 def _ranked_levels(world: World, driving: int) -> NDArray[np.int64]:
     """Levels to try by rank, strongest first, shape (C, K); 1 at ranks past ``driving``."""
-    if world.config.access == "oma":
-        return np.ones((1, world.robots), dtype=np.int64)
-    levels = world.config.power.levels
-    projects = world.config.power.resolve == "project"
-    number = comb(levels, driving) if projects else levels**driving
+    number = count_combinations(world.config, driving)
     if number > MAX_COMBINATIONS:
         raise ValueError(
-            f"env.power.levels={levels}: with {driving} robots that is {number} combinations of"
-            f" powers to search; allowed are {MAX_COMBINATIONS}"
+            f"env.power.levels={world.config.power.levels}: with {driving} robots that is {number}"
+            f" combinations of powers to search; allowed are {MAX_COMBINATIONS}"
         )
-    falling = range(levels, 0, -1)
-    chosen = combinations(falling, driving) if projects else product(falling, repeat=driving)
-    ranked = np.ones((number, world.robots), dtype=np.int64)
-    ranked[:, :driving] = list(chosen)
-    return ranked
-
-
-def _ranks(gain: NDArray[np.float64], driving: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Each robot's rank, 0 the strongest, shape (..., K)."""
-    return np.argsort(access.decoding_order(gain, driving), axis=-1)
+    return levels_by_rank(world.config, world.robots, driving)
 
 
 def _metric(

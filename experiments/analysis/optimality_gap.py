@@ -13,7 +13,8 @@ from env.oracles import per_slot
 from env.oracles.trajectory import best_trajectory, shortest_ways
 from env.seeding import Stream, stream
 from env.world import World
-from training.evaluation import Evaluator, Served
+from training.controllers.service import Served
+from training.evaluation import Evaluator
 
 SLACK = 4
 

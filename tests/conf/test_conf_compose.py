@@ -70,6 +70,15 @@ MISTAKES = [
     (["baseline=shortest_best", "runtime=simulation"], "runtime.name=simulation: allowed is local"),
     (["baseline=shortest_best", "scheme.phase=fixed"], "scheme.phase=fixed: allowed is oracle"),
     (["baseline=shortest_canonical", "scheme.phase=learned"], "scheme.phase=learned: allowed is "),
+    (["scheme.power=dqn"], "scheme.power=dqn: allowed is one of robots, ap, search."),
+    (["baseline=shortest_best", "scheme.power=search"], "scheme.power=search: allowed is robots "),
+    (["baseline=shortest_canonical", "scheme.power=ap"], "scheme.power=ap: allowed is robots with"),
+    (["baseline=oracle_phase", "scheme.power=ap"], "scheme.phase=oracle: allowed is learned with "),
+    (["scheme.power=ap", "env.power.resolve=zero"], "env.power.resolve=zero: allowed is project "),
+    (["scheme.power=ap", "env.power.levels=2"], "env.power.levels=2: allowed is at least env.ro"),
+    (["scheme.power=ap", "env.power.levels=48", "env.robots=4"], "env.power.levels=48: allowed is"),
+    (["scheme.power=search", "env.power.levels=40", "env.robots=5"], "env.power.levels=40: allow"),
+    (["baseline=centralized", "scheme.power=ap", "env.power.levels=20"], "env.robots=3: allowed "),
     (["baseline=best"], "baseline=best: allowed is one of branching, "),
     # A wrong form.
     (["env.robots"], "'env.robots' is not of the form key=value."),
@@ -113,6 +122,22 @@ def test_a_joint_agent_for_too_many_robots_is_refused_with_their_number():
         compose(["baseline=centralized", "env.robots=4"])
     assert compose(["baseline=centralized", "env.robots=3"]).env.robots == 3
     assert compose(["baseline=branching", "env.robots=64", *ALL_TO_ONE_PLACE])
+
+
+def test_powers_that_are_too_many_are_refused_with_their_number():
+    with pytest.raises(ConfigError, match="170,016, and at most 100,000 are taken"):
+        compose(["scheme.power=ap", "env.power.levels=24", "env.robots=5"])
+    with pytest.raises(ConfigError, match=r"658,008 combinations .* at most 200,000 are searched"):
+        compose(["scheme.power=search", "env.power.levels=40", "env.robots=5"])
+    with pytest.raises(ConfigError, match="279,936 combinations"):
+        compose(["scheme.power=search", "env.power.resolve=zero", "env.robots=7"])
+    oma = ["env.access=oma", "env.power.levels=2", "env.robots=8"]
+    for power in ("ap", "search"):
+        assert compose([f"scheme.power={power}"]).scheme.power == power
+        assert compose([f"scheme.power={power}", *oma])
+        assert compose([f"scheme.power={power}", "baseline=centralized", "env.robots=3"])
+        assert compose([f"scheme.power={power}", "baseline=branching", "env.robots=4"])
+    assert compose(["scheme.power=search", "env.power.resolve=residual"])
 
 
 @pytest.mark.parametrize(("overrides", "message"), MISTAKES, ids=lambda x: str(x)[:40])

@@ -28,12 +28,23 @@ def evaluated(out: Path, *arguments: str) -> dict[str, Any]:
     return written
 
 
-@pytest.mark.parametrize("baseline", ["centralized", "branching", "fixed_phase"])
-def test_a_trained_baseline_is_played_and_compared_like_any_run(
-    tiny_overrides: tuple[str, ...], tmp_path: Path, baseline: str
+TRAINED = (
+    ("baseline=centralized",),
+    ("baseline=branching",),
+    ("baseline=fixed_phase",),
+    ("scheme.power=ap",),
+    ("scheme.power=search",),
+    ("baseline=oracle_phase", "scheme.power=search"),
+    ("baseline=centralized", "scheme.power=ap"),
+)
+
+
+@pytest.mark.parametrize("what", TRAINED, ids=" ".join)
+def test_what_was_trained_is_played_and_compared_like_any_run(
+    tiny_overrides: tuple[str, ...], tmp_path: Path, what: tuple[str, ...]
 ) -> None:
     folder, out = tmp_path / "run", tmp_path / "out.json"
-    given = [*tiny_overrides, "env.robots=2", f"baseline={baseline}", f"run.dir={folder}"]
+    given = [*tiny_overrides, "env.robots=2", *what, f"run.dir={folder}"]
     assert main(["train", *given]) == 0
     summary = json.loads((folder / "summary.json").read_text())
     found = evaluated(out, str(folder))

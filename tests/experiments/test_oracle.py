@@ -15,7 +15,8 @@ from env.oracles import per_slot
 from env.world import World
 from experiments.analysis import optimality_gap
 from experiments.cli import main
-from training.evaluation import Evaluator, Served
+from training.controllers.service import Served
+from training.evaluation import Evaluator
 from training.run_folder import RunFolder
 
 SMALL = ("env.robots=2", "env.room.cell_m=2.0")

@@ -104,9 +104,9 @@ def test_what_it_decided_is_done_and_learned_from(config: Config) -> None:
             phase, robots = (part[0] for part in ActionSpace(levels).joint_decode(chosen, 2))
             assert reward == joint_reward(step.outcome, 0.1)
         else:
-            phase, robots = chosen[0], chosen[1:]
-            assert reward[0] == step.outcome.global_reward[0]
-            np.testing.assert_array_equal(reward[1:], step.outcome.local_reward[0])
+            phase, robots = chosen[0, 0], chosen[0, 1:]
+            assert reward[0, 0] == step.outcome.global_reward[0]
+            np.testing.assert_array_equal(reward[:, 1:], step.outcome.local_reward)
             np.testing.assert_array_equal(robots == -1, ~step.drove)
         direction, level = ActionSpace(levels).decode(robots)
         assert phase == step.phase
@@ -123,8 +123,8 @@ def test_a_transition_ends_for_a_head_when_its_robot_arrives_and_for_all_with_th
         if config.scheme.agents == "centralized":
             assert terminal == outcome.terminated
         else:
-            assert terminal.tolist() == [outcome.terminated[0], *outcome.arrived[0]]
-            assert active.tolist() == [True, *outcome.drove[0]]
+            assert terminal.tolist() == [[outcome.terminated[0], *outcome.arrived[0]]]
+            assert active.tolist() == [[True, *outcome.drove[0]]]
     assert any(step.outcome.arrived.any() for step in world.steps)
 
 
@@ -134,7 +134,7 @@ def test_heads_that_share_learn_from_one_reward(tiny: Tiny) -> None:
     agent, world, learned = played(config)
     assert agent.agent.heads.discounts == (0.8, 0.8, 0.8)
     for step, (_, _, reward, *_rest) in zip(world.steps, learned, strict=True):
-        assert reward.tolist() == [joint_reward(step.outcome, 0.5)[0]] * 3
+        assert reward.tolist() == [[joint_reward(step.outcome, 0.5)[0]] * 3]
 
 
 def test_the_part_of_an_arrived_robot_has_no_effect(config: Config) -> None:
@@ -157,16 +157,16 @@ def test_a_frozen_policy_decides_as_the_agent_does(config: Config) -> None:
     for _ in range(30):
         world.reset()
         for _ in range(5):
-            agent.fleet.driving = world.driving[0]
+            agent.fleet.driving = world.driving
             agent._epsilon = type(epsilon)(0.0, 0.0, 1)
             phase = agent.act(world.global_observation(), 10)
             direction, level = ActionSpace(config.env.power.levels).decode(agent.fleet.orders)
             frozen = policy(world, PolicyWeights(weights[None], weights), Exploration(0, (0.0,), 1))
-            driving = world.driving[0]
+            driving = world.driving
             assert phase == frozen.phase
-            np.testing.assert_array_equal(direction[driving], frozen.direction[0][driving])
-            np.testing.assert_array_equal(level[driving], frozen.level[0][driving])
-            world.step(phase, direction[None], level[None])
+            np.testing.assert_array_equal(direction[driving], frozen.direction[driving])
+            np.testing.assert_array_equal(level[driving], frozen.level[driving])
+            world.step(phase, direction, level)
 
 
 def test_a_run_leaves_what_every_run_leaves(config: Config, tmp_path: Path) -> None:

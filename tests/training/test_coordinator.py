@@ -111,8 +111,8 @@ class ScriptedPoint:
         self.log.append(("act", tick))
         return np.array([tick % 4])
 
-    def finalize_phase(self, world: Any, phase: Any, level: Any) -> Any:
-        return phase
+    def serve(self, world: Any, action: Any, picks: Any) -> Any:
+        return action, picks
 
     def learn(self, state: Any, action: Any, outcome: StepResult, next_observation: Any) -> None:
         self.log.append(("learn", int(action[0])))
@@ -458,9 +458,13 @@ def test_grouping_changes_no_bit(
     assert len(found) == 1
 
 
-@pytest.mark.parametrize("worlds", [1, 3])
-def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any], worlds: int) -> None:
-    config = tiny({"train.max_ticks": 200, "train.worlds": worlds})
+@pytest.mark.parametrize(
+    ("power", "worlds"), [("robots", 1), ("ap", 1), ("search", 1), ("search", 3)]
+)
+def test_sockets_change_no_bit(
+    tiny: Tiny, play: Callable[..., Any], power: str, worlds: int
+) -> None:
+    config = tiny({"train.max_ticks": 200, "scheme.power": power, "train.worlds": worlds})
     expected = play(config).digests
     for blocks in BLOCKS[1:]:
         played, raised = over_tcp(config, blocks, play)

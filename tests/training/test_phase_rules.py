@@ -56,7 +56,8 @@ def test_no_phase_gives_more_than_the_oracles_for_the_same_picks(tiny: Tiny, met
         world = world_of(config)
         world.reset(world.draw_starts(1))
         level = draw.integers(1, 7, size=(1, 3))
-        phase = rule.finalize_phase(world, rule.act(np.zeros((1, 24), np.float32), 0), level)
+        phase, served = rule.serve(world, rule.act(np.zeros((1, 24), np.float32), 0), level)
+        np.testing.assert_array_equal(served, level)
         brought = [
             copy.copy(world).step(np.array([tried]), np.zeros((1, 3), int), level)
             for tried in range(16)

@@ -13,23 +13,31 @@ from agent import DQN, BranchingDQN, epsilon_at
 from conf import Config, ap_network
 from env.seeding import Stream, stream
 from env.world import StepResult, World
+from training.controllers.service import Served, Service
 
 
 class RisController(Protocol):
     """Who sets the RIS's phases: a DQN, a rule, or one agent that decides for the robots, too."""
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.integer[Any]]:
-        """Chooses the phase action for a state of shape (1, global_size).
+        """Chooses actions for the states of B worlds, shape (B, global_size).
 
         Returns:
-            The action, shape (1,).
+            Actions, shape (B,): phase settings, or such with a combination of powers.
         """
         ...
 
-    def finalize_phase(
-        self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """The phase action that is set, shape (1,), once the power picks, (1, K), are known."""
+    def serve(self, world: World, action: NDArray[np.int64], picks: NDArray[np.int64]) -> Served:
+        """What is set once the robots' power picks are known.
+
+        Args:
+            world: B worlds; not changed.
+            action: what ``act`` chose, shape (B,).
+            picks: the robots' power levels, shape (B, K).
+
+        Returns:
+            The phase settings, shape (B,), and power levels, shape (B, K).
+        """
         ...
 
     def learn(
@@ -39,7 +47,7 @@ class RisController(Protocol):
         outcome: StepResult,
         next_observation: NDArray[np.float32],
     ) -> None:
-        """Learns from what an action brought; arrays of one row each."""
+        """Learns from what actions, as ``act`` chose them, brought; a row for each of B worlds."""
         ...
 
     def weights(self) -> NDArray[np.float32]:
@@ -68,6 +76,7 @@ class NetworkAgent(ABC):
 
     def __init__(self, config: Config) -> None:
         self._config, self.shape = config, ap_network(config)
+        self._service = Service(config)
         self._epsilon = config.agent.epsilon
         self.agent = self._new_agent(stream(config.seed, Stream.AP))
         first = self.shape.initial_weights(stream(config.seed, Stream.WEIGHTS, 1))
@@ -77,11 +86,9 @@ class NetworkAgent(ABC):
     def _new_agent(self, generator: np.random.Generator) -> DQN | BranchingDQN:
         """Makes the agent, its weights zero."""
 
-    def finalize_phase(
-        self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """See ``RisController.finalize_phase``: it stays with what it chose."""
-        return phase
+    def serve(self, world: World, action: NDArray[np.int64], picks: NDArray[np.int64]) -> Served:
+        """See ``RisController.serve``."""
+        return self._service(world, action, picks)
 
     def weights(self) -> NDArray[np.float32]:
         """See ``RisController.weights``."""
@@ -98,6 +105,8 @@ class NetworkAgent(ABC):
 
 class AccessPoint(NetworkAgent):
     """The global DQN of Section III-A: it sees all robots and picks the RIS's phases.
+
+    With ``scheme.power=ap`` it picks the robots' powers in the same action.
 
     Args:
         config: the run's configuration.

@@ -8,18 +8,19 @@ and the bits of the world are those of F-DRL.
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from agent import DQN, NO_ACTION, BranchingDQN, epsilon_at
-from conf import Config, central_heads
-from env.mdp.actions import ActionSpace
+from conf import Config, central_heads, robot_actions
 from env.world import StepResult
 from lockstep import Expect, Flag
 from training.controllers.access_point import NetworkAgent
 
 DRIVING = np.uint16(Flag.DRIVING)
+_Value = TypeVar("_Value", bound=np.generic)
 
 
 class CommandedFleet:
@@ -27,27 +28,29 @@ class CommandedFleet:
 
     Args:
         robots: K.
+        worlds: E.
 
     Attributes:
-        driving: which robots are driving, shape (K,).
-        orders: their next actions, int32, shape (K,), -1 where one is not driving.
+        driving: which robots are driving, shape (E, K).
+        orders: their next actions, int32, shape (E, K), -1 where one is not driving.
     """
 
-    def __init__(self, robots: int) -> None:
-        self.driving = np.zeros(robots, dtype=bool)
-        self.orders = np.full(robots, NO_ACTION, np.int32)
+    def __init__(self, robots: int, worlds: int) -> None:
+        self.driving = np.zeros((worlds, robots), dtype=bool)
+        self.orders = np.full((worlds, robots), NO_ACTION, np.int32)
 
     def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
         """See ``Fleet.send_step``."""
-        self.driving = (updates["flags"] & DRIVING) != 0
+        driving = (updates["flags"] & DRIVING) != 0
+        self.driving = driving.reshape(-1, len(self.orders)).T
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See ``Fleet.actions``."""
-        return self.orders
+        return self.orders.T.ravel()
 
     def upload(self, window: int) -> NDArray[np.float32]:
         """See ``Fleet.upload``: robots without weights."""
-        return np.zeros((len(self.orders), 2, 0), np.float32)
+        return np.zeros((self.orders.shape[1], 2, 0), np.float32)
 
     def download(self, window: int, weights: NDArray[np.float32]) -> None:
         """See ``Fleet.download``: there is no global model."""
@@ -71,11 +74,13 @@ class CentralAgent(NetworkAgent):
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
-        self.fleet = CommandedFleet(config.env.robots)
+        self.fleet = CommandedFleet(config.env.robots, config.train.worlds)
 
     @abstractmethod
-    def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
-        """The phase action, and actions of the robots, shape (K,), of any value if not driving."""
+    def _decide(
+        self, state: NDArray[np.float32], epsilon: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Its own actions, (E,), and those of the robots, (E, K), of any value if not driving."""
 
     @abstractmethod
     def learn(
@@ -89,13 +94,13 @@ class CentralAgent(NetworkAgent):
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
         """See ``RisController.act``: decides for the robots, too."""
-        phase, orders = self._decide(state, epsilon_at(self._epsilon, tick))
+        action, orders = self._decide(state, epsilon_at(self._epsilon, tick))
         self.fleet.orders = np.where(self.fleet.driving, orders, NO_ACTION).astype(np.int32)
-        return np.array([phase])
+        return action
 
 
 class JointAgent(CentralAgent):
-    """Baseline 1: one DQN over the joint actions, N_R^N (4 N_P)^K of them.
+    """Baseline 1: one DQN over the joint actions, N_R^N (4 N_P)^K where robots pick powers.
 
     Its reward is sum_k r_{L,k} + r_G / 10. The part of a robot that has arrived has no effect.
     """
@@ -103,15 +108,16 @@ class JointAgent(CentralAgent):
     agent: DQN
 
     def _new_agent(self, generator: np.random.Generator) -> DQN:
-        discount = self._config.agent.discount.robot
-        return DQN(self.shape, self._config.agent, discount, [generator])
+        discount, worlds = self._config.agent.discount.robot, self._config.train.worlds
+        self._always = np.ones(worlds, dtype=bool)
+        return DQN(self.shape, self._config.agent, discount, [generator], worlds=worlds)
 
-    def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
-        env = self._config.env
-        self._joint = self.agent.act(state, epsilon, np.ones(1, dtype=bool))
-        space = ActionSpace.from_config(env)
-        phase, orders = space.joint_decode(self._joint.astype(np.int64), env.robots)
-        return int(phase[0]), orders[0].astype(np.int32)
+    def _decide(
+        self, state: NDArray[np.float32], epsilon: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        space, robots = robot_actions(self._config), self._config.env.robots
+        self._joint = self.agent.act(state, epsilon, self._always)
+        return space.joint_decode(self._joint.astype(np.int64), robots)
 
     def learn(
         self,
@@ -121,9 +127,8 @@ class JointAgent(CentralAgent):
         next_observation: NDArray[np.float32],
     ) -> None:
         """See ``RisController.learn``."""
-        reward = joint_reward(outcome, self._config.scheme.global_share)
-        always = np.ones(1, dtype=bool)
-        self.agent.learn(state, self._joint, reward, next_observation, outcome.terminated, always)
+        reward, ended = joint_reward(outcome, self._config.scheme.global_share), outcome.terminated
+        self.agent.learn(state, self._joint, reward, next_observation, ended, self._always)
 
 
 class BranchingAgent(CentralAgent):
@@ -137,13 +142,15 @@ class BranchingAgent(CentralAgent):
     agent: BranchingDQN
 
     def _new_agent(self, generator: np.random.Generator) -> BranchingDQN:
-        heads = central_heads(self._config)
-        return BranchingDQN(self.shape, heads, self._config.agent, generator)
+        heads, worlds = central_heads(self._config), self._config.train.worlds
+        return BranchingDQN(self.shape, heads, self._config.agent, generator, worlds)
 
-    def _decide(self, state: NDArray[np.float32], epsilon: float) -> tuple[int, NDArray[np.int32]]:
-        active = np.concatenate([[True], self.fleet.driving])
-        self._parts = self.agent.choose(state[0], epsilon, active)
-        return int(self._parts[0]), self._parts[1:]
+    def _decide(
+        self, state: NDArray[np.float32], epsilon: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        self._parts = self.agent.choose(state, epsilon, _with_own(True, self.fleet.driving))
+        parts = self._parts.astype(np.int64)
+        return parts[:, 0], parts[:, 1:]
 
     def learn(
         self,
@@ -153,12 +160,19 @@ class BranchingAgent(CentralAgent):
         next_observation: NDArray[np.float32],
     ) -> None:
         """See ``RisController.learn``."""
-        rewards = np.concatenate([outcome.global_reward, outcome.local_reward[0]])
+        rewards = _with_own(outcome.global_reward, outcome.local_reward)
         if self.agent.heads.shared:
-            rewards[:] = joint_reward(outcome, self._config.scheme.global_share)
-        active = np.concatenate([[True], outcome.drove[0]])
-        ended = np.concatenate([outcome.terminated, outcome.arrived[0]])
-        self.agent.learn(state[0], self._parts, rewards, next_observation[0], ended, active)
+            rewards[:] = joint_reward(outcome, self._config.scheme.global_share)[:, None]
+        active = _with_own(True, outcome.drove)
+        ended = _with_own(outcome.terminated, outcome.arrived)
+        self.agent.learn(state, self._parts, rewards, next_observation, ended, active)
+
+
+def _with_own(own: ArrayLike, robots: NDArray[_Value]) -> NDArray[_Value]:
+    """The RIS's value, (E,), before those of the robots, (E, K): shape (E, 1 + K)."""
+    each = np.empty((len(robots), 1 + robots.shape[1]), robots.dtype)
+    each[:, 0], each[:, 1:] = own, robots
+    return each
 
 
 def joint_reward(outcome: StepResult, global_share: float) -> NDArray[np.float64]:

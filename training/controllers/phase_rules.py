@@ -14,6 +14,7 @@ from env.oracles import per_slot
 from env.seeding import Stream, stream
 from env.world import StepResult, World
 from storage.generators import generator_state, restore_generator
+from training.controllers.service import Served, Service
 
 PLACEMENTS = 2000
 """Random placements of the robots over which the best fixed phase is the best on average."""
@@ -56,21 +57,21 @@ class PhaseRule:
 
     def __init__(self, config: Config, world: World) -> None:
         self._rule, self._actions = config.scheme.phase, world.phase_actions
+        self._worlds = config.train.worlds
+        self._service = Service(config)
         self._generator = stream(config.seed, Stream.AP)
         fixed = fixed_phase(world, config.env.map_seed) if self._rule == "fixed" else 0
-        self._fixed = np.array([fixed])
+        self._fixed = np.full(self._worlds, fixed)
 
     def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
         """See ``RisController.act``."""
         if self._rule == "random":
-            return self._generator.integers(self._actions, size=1)
+            return self._generator.integers(self._actions, size=self._worlds)
         return self._fixed
 
-    def finalize_phase(
-        self, world: World, phase: NDArray[np.int64], level: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """See ``RisController.finalize_phase``: the oracle's is the best for the robots' picks."""
-        return per_slot.best_phase(world, level) if self._rule == "oracle" else phase
+    def serve(self, world: World, action: NDArray[np.int64], picks: NDArray[np.int64]) -> Served:
+        """See ``RisController.serve``: an oracle's phase is the best once picks are known."""
+        return self._service(world, action, picks)
 
     def learn(
         self,

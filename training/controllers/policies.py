@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import NetworkShape, q_values
-from conf import Config, ap_network, central_heads, robot_network
-from env.mdp.actions import ActionSpace
+from conf import Config, ap_network, central_heads, robot_actions, robot_network
 from env.oracles import per_slot
 from env.seeding import Stream, stream
 from env.world import World
 from training.controllers.phase_rules import fixed_phase
+from training.controllers.service import Service
 
 
 class PolicyWeights(NamedTuple):
@@ -25,7 +25,7 @@ class PolicyWeights(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Phase actions, shape (B,), and the robots' directions and power levels, shape (B, K)."""
+    """Phase settings, shape (B,), and the robots' directions and power levels, shape (B, K)."""
 
     phase: NDArray[np.int64]
     direction: NDArray[np.int64]
@@ -86,13 +86,12 @@ class _Robots:
     """The robots' networks: every one explores by itself."""
 
     def __init__(self, config: Config) -> None:
-        self._shape = robot_network(config)
-        self._actions = ActionSpace.from_config(config.env)
+        self._shape, self._actions = robot_network(config), robot_actions(config)
 
     def __call__(
         self, local: NDArray[np.float32], weights: NDArray[np.float32], exploration: Exploration
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Directions and power levels for states (B, K, local_size)."""
+        """Directions and power picks for states (B, K, local_size)."""
         action = exploration(self._best(local, weights), self._shape.actions)
         return self._actions.decode(action)
 
@@ -111,12 +110,14 @@ class _Federated:
 
     def __init__(self, config: Config) -> None:
         self._ap, self._robots = ap_network(config), _Robots(config)
+        self._service = Service(config)
 
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         local = world.local_observations()
         values = _values(self._ap, weights.ap, world.global_observation(local))
-        phase = exploration(np.asarray(values.argmax(axis=-1)), self._ap.actions)
-        return Decision(phase, *self._robots(local, weights.robots, exploration))
+        action = exploration(np.asarray(values.argmax(axis=-1)), self._ap.actions)
+        direction, picks = self._robots(local, weights.robots, exploration)
+        return _decided(self._service, world, action, direction, picks)
 
 
 class _Ruled:
@@ -127,7 +128,7 @@ class _Ruled:
 
     def __init__(self, config: Config, world: World) -> None:
         self._rule, self._drive = config.scheme.phase, config.scheme.robots
-        self._robots = _Robots(config)
+        self._robots, self._service = _Robots(config), Service(config)
         fixed = fixed_phase(world, config.env.map_seed) if self._rule == "fixed" else 0
         self._fixed = np.array(fixed)
 
@@ -142,10 +143,8 @@ class _Ruled:
             phase = exploration.phases(world.phase_actions)
         if self._drive == "learned":
             local = world.local_observations()
-            direction, level = self._robots(local, weights.robots, exploration)
-            if self._rule == "oracle":
-                phase = per_slot.best_phase(world, level)
-            return Decision(phase, direction, level)
+            direction, picks = self._robots(local, weights.robots, exploration)
+            return _decided(self._service, world, phase, direction, picks)
         return self._by_rank(world, phase)
 
     def _by_rank(self, world: World, phase: NDArray[np.int64]) -> Decision:
@@ -162,14 +161,14 @@ class _Joint:
     """A centralized DQN: its one action is random as a whole, or not at all."""
 
     def __init__(self, config: Config) -> None:
-        self._shape = ap_network(config)
-        self._robots, self._actions = config.env.robots, ActionSpace.from_config(config.env)
+        self._shape, self._service = ap_network(config), Service(config)
+        self._robots, self._actions = config.env.robots, robot_actions(config)
 
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         values = _values(self._shape, weights.ap, world.global_observation())
         joint = exploration(np.asarray(values.argmax(axis=-1)), self._shape.actions)
-        phase, robots = self._actions.joint_decode(joint, self._robots)
-        return Decision(phase, *self._actions.decode(robots))
+        action, robots = self._actions.joint_decode(joint, self._robots)
+        return _decided(self._service, world, action, *self._actions.decode(robots))
 
 
 class _Heads:
@@ -177,14 +176,26 @@ class _Heads:
 
     def __init__(self, config: Config) -> None:
         self._shape, self._heads = ap_network(config), central_heads(config)
-        self._actions = ActionSpace.from_config(config.env)
+        self._actions, self._service = robot_actions(config), Service(config)
 
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         values = _values(self._shape, weights.ap, world.global_observation())
-        best, (phases, robots) = self._heads.best(values), self._heads.sizes[:2]
-        phase = exploration(best[:, 0].copy(), phases)
-        action = exploration(best[:, 1:].copy(), robots)
-        return Decision(phase, *self._actions.decode(action))
+        best, (own, each) = self._heads.best(values), self._heads.sizes[:2]
+        action = exploration(best[:, 0].copy(), own)
+        robots = exploration(best[:, 1:].copy(), each)
+        return _decided(self._service, world, action, *self._actions.decode(robots))
+
+
+def _decided(
+    service: Service,
+    world: World,
+    action: NDArray[np.int64],
+    direction: NDArray[np.int64],
+    picks: NDArray[np.int64],
+) -> Decision:
+    """What comes of the access point's actions, (B,), and the robots' directions and picks."""
+    phase, level = service(world, action, picks)
+    return Decision(phase, direction, level)
 
 
 def _values(

@@ -12,7 +12,8 @@ from env.episode import EpisodeMeasures
 from env.world import World
 from experiments.analysis import optimality_gap
 from experiments.analysis.optimality_gap import SLACK
-from training.evaluation import Evaluator, Served
+from training.controllers.service import Served
+from training.evaluation import Evaluator
 
 
 @dataclass

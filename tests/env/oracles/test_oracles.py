@@ -108,6 +108,47 @@ def test_best_powers_are_those_of_a_plain_search(name: str) -> None:
     np.testing.assert_allclose(best, np.max(tried, axis=0), rtol=1e-12)
 
 
+@given(world=worlds(), data=st.data())
+@few
+def test_the_best_powers_under_a_phase_are_those_of_a_plain_search(
+    world: World, data: st.DataObject
+) -> None:
+    random = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    phase = random.integers(world.phase_actions, size=3)
+    weights = random.uniform(0.1, 3.0, size=world.cell.shape)
+    gain, levels = per_slot.phase_gains(world)[np.arange(3), phase], world.config.power.levels
+    np.testing.assert_array_equal(per_slot.gains(world, phase), gain)
+
+    def value(level: NDArray[np.int64]) -> NDArray[np.float64]:
+        rate = world.downlink.allocate(gain, level, world.driving).rate
+        if world.config.metric == "qoe":
+            rate = np.where(world.driving, np.log10(np.maximum(rate, 0.01)), 0.0)
+        return np.asarray((weights * rate).sum(axis=-1))
+
+    level = per_slot.best_powers(world, phase, weights)
+    assert level.shape == world.cell.shape
+    assert ((level >= 1) & (level <= levels)).all()
+    np.testing.assert_array_equal(level[~world.driving], 1)
+    every = product(range(1, levels + 1), repeat=world.robots)
+    tried = [value(np.tile(picks, (3, 1))) for picks in every]
+    np.testing.assert_allclose(value(level), np.max(tried, axis=0), rtol=1e-12)
+
+
+@given(world=worlds())
+@few
+def test_worlds_are_searched_for_powers_as_each_alone(world: World) -> None:
+    phase = np.arange(3) % world.phase_actions
+    together = per_slot.best_powers(world, phase, world.rate_weights)
+    np.testing.assert_array_equal(together, per_slot.best_powers(world, phase))
+    best, level = per_slot.best_phase_and_powers(world, world.rate_weights)
+    np.testing.assert_array_equal(per_slot.best_powers(world, best), level)
+    cell, driving = world.cell, world.driving
+    for index in range(3):
+        world.cell, world.driving = cell[[index]], driving[[index]]
+        alone = per_slot.best_powers(world, phase[[index]])
+        np.testing.assert_array_equal(alone[0], together[index])
+
+
 @pytest.mark.parametrize("name", ["oma", "oma_reallocate_qoe"])
 def test_under_oma_the_phase_alone_is_searched(name: str) -> None:
     world = shared(name)
@@ -156,6 +197,7 @@ def test_a_search_in_parts_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> No
         monkeypatch.setattr(per_slot, "MAX_COMBINATIONS", most)
         for part, all_at_once in zip(per_slot.best_phase_and_powers(world), whole, strict=True):
             np.testing.assert_array_equal(part, all_at_once)
+        np.testing.assert_array_equal(per_slot.best_powers(world, whole[0]), whole[1])
     monkeypatch.setattr(per_slot, "MAX_COMBINATIONS", 10)
     with pytest.raises(ValueError, match=r"env.power.levels=6: with 3 robots .* allowed are 10"):
         per_slot.best_phase_and_powers(world)

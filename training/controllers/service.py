@@ -1,0 +1,59 @@
+"""What is sent in a slot: the phase, and the powers of whoever picks them (``scheme.power``)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conf import Config
+from env.downlink.combinations import deal, levels_by_rank
+from env.oracles import per_slot
+from env.world import World
+
+Served = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""Phase settings, shape (B,), and power levels, shape (B, K)."""
+
+
+class Service:
+    """From what was chosen to what is served, in any number of worlds.
+
+    ========== ===============================================================================
+    robots     the phase that was chosen, and the robots' picks; an oracle's phase is the best
+               one for these picks
+    ap         an action is a phase setting and a combination of powers, dealt by rank
+    search     the best powers under the phase that was chosen; an oracle's phase and powers
+               are searched together
+    ========== ===============================================================================
+
+    Args:
+        config: the run's configuration; ``scheme`` and ``env`` are read.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._power, self._oracle = config.scheme.power, config.scheme.phase == "oracle"
+        if self._power == "ap":
+            robots = config.env.robots
+            self._levels = levels_by_rank(config.env, robots, robots)
+
+    def __call__(self, world: World, action: NDArray[np.int64], picks: NDArray[np.int64]) -> Served:
+        """What is served in this slot.
+
+        Args:
+            world: B worlds; not changed.
+            action: the access point's, below ``conf.ap_actions``, shape (B,); not read where the
+                phase is an oracle's.
+            picks: the robots' power levels, shape (B, K); read where robots pick powers.
+        """
+        if self._power == "ap":
+            return self._picked_together(world, action)
+        if self._power == "search":
+            if self._oracle:
+                return per_slot.best_phase_and_powers(world, world.rate_weights)
+            return action, per_slot.best_powers(world, action, world.rate_weights)
+        return (per_slot.best_phase(world, picks) if self._oracle else action), picks
+
+    def _picked_together(self, world: World, action: NDArray[np.int64]) -> Served:
+        """Phases and powers of actions of both."""
+        phase, combination = np.divmod(action, len(self._levels))
+        gain = per_slot.gains(world, phase)
+        return phase, deal(self._levels[combination], gain, world.driving)
