@@ -98,10 +98,10 @@ class Projection:
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The nearest levels with no margin to keep, and their gaps; remembered where few."""
         if not self._remembers:
-            levels, asked = picks.copy(), ~_fall(picks)
-            if asked.any():
-                tried = picks[asked]
-                levels[asked], _ = project_levels(
+            levels, infeasible = picks.copy(), ~_fall(picks)
+            if infeasible.any():
+                tried = picks[infeasible]
+                levels[infeasible], _ = project_levels(
                     np.maximum(tried, 1), _served(tried), self._levels
                 )
             return levels, _gaps(levels)
