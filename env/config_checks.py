@@ -192,6 +192,13 @@ def _combination_problems(config: EnvConfig) -> list[Problem]:
             " each robot a level of its own (residual and zero allow fewer)"
         )
         found.append(("env.power.levels", power.levels, allowed))
+    credit = config.reward.credit
+    if credit == "difference" and config.access == "noma" and power.resolve != "project":
+        allowed = (
+            "one of rate, objective, team with env.power.resolve="
+            f"{power.resolve}, whose rates depend on what fails in the slot"
+        )
+        found.append(("env.reward.credit", credit, allowed))
     return found
 
 

@@ -1,7 +1,8 @@
 """A robot's local environment: its task, its observations and its rewards.
 
-A robot receives only what it could measure: its cell, its direct channel, its rate, whether it has
-arrived. Observation and reward are computed from that here, on the robot's side.
+A robot receives only what it could measure, its cell, its direct channel, whether it has arrived,
+and what it is credited with, by default its rate. Observation and reward are computed from that
+here, on the robot's side.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class LocalEnv:
 
     def reward(
         self,
-        rate: NDArray[np.float64],
+        credit: NDArray[np.float64],
         left: NDArray[np.int32],
         reached: NDArray[np.int32],
         arrived: NDArray[np.bool_],
@@ -52,7 +53,7 @@ class LocalEnv:
         """r_L of each robot: Eq. (11), or the user's own reward.
 
         Args:
-            rate: R_k in bit/s/Hz, shape (n,).
+            credit: R_k in bit/s/Hz, or what ``reward.credit`` puts in its place, shape (n,).
             left: the cell that each robot left, shape (n,).
             reached: the cell that it moved to, shape (n,).
             arrived: whether that is its destination, shape (n,).
@@ -62,4 +63,4 @@ class LocalEnv:
         """
         before = self._distance_m[left, self._robot]
         after = self._distance_m[reached, self._robot]
-        return self._rewards.of_robots(rate, before, after, arrived)
+        return self._rewards.of_robots(credit, before, after, arrived)

@@ -21,6 +21,8 @@ class StepResult(NamedTuple):
 
     Attributes:
         rate: R_k in bit/s/Hz at the cell that was left, shape (B, K).
+        credit: what ``reward.credit`` puts in the place of R_k in a robot's reward: ``rate`` by
+            default, shape (B, K).
         local_reward: r_{L,k}, 0 where a robot was not driving, shape (B, K).
         global_reward: r_G, shape (B,).
         drove: which robots were driving in the slot, shape (B, K).
@@ -31,6 +33,7 @@ class StepResult(NamedTuple):
     """
 
     rate: NDArray[np.float64]
+    credit: NDArray[np.float64]
     local_reward: NDArray[np.float64]
     global_reward: NDArray[np.float64]
     drove: NDArray[np.bool_]
@@ -80,6 +83,7 @@ class World:
         self.next_cell, self.slots_to_go = scenario.next_cell, scenario.slots_to_go
         self.downlink = Downlink(self.config)
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
+        self._weighs = self._rewards.weighs_credit or self._rewards.weighs_rates
         self._starts, self._fixed_starts = scenario.start_cells, scenario.fixed_starts
         self._robot = np.arange(len(self.destinations))
         self._seen = self._tabulate()
@@ -128,6 +132,21 @@ class World:
     def shortest_slots(self) -> NDArray[np.int64]:
         """Fewest slots that are left to each robot's destination, shape (B, K)."""
         return self.slots_to_go[self.cell, self._robot]
+
+    @property
+    def travel_slots(self) -> NDArray[np.int64]:
+        """T_k: slots so far and the fewest that are left, at least 1, shape (B, K)."""
+        return np.maximum(self.slot[:, None] + self.shortest_slots, 1)
+
+    @property
+    def rate_weights(self) -> NDArray[np.float64]:
+        """What each robot's rate counts for in the access point's reward, shape (B, K).
+
+        1, or w_k with ``reward.weights=objective``.
+        """
+        if self._rewards.weighs_rates:
+            return self._rewards.weights(self.travel_slots)
+        return np.ones(self.cell.shape)
 
     def channel(self, phase_action: NDArray[np.int64]) -> NDArray[np.complex128]:
         """The combined channel h_k of every robot in this slot.
@@ -243,6 +262,8 @@ class World:
         direct = None if self._fading is None else self.direct
         gain = self.radio_map.gain(self.cell, phase_action, direct)
         allocation = self.downlink.allocate(gain, level, drove)
+        weights = self._rewards.weights(self.travel_slots) if self._weighs else None
+        credit = self._credit(gain, allocation, drove, weights)
         before_m = self._distance_m[self.cell, self._robot]
         moved = self.next_cell[self.cell, direction]
         if self.config.collisions == "block":
@@ -255,14 +276,29 @@ class World:
         self._draw_fading()
         terminated = np.asarray(~self.driving.any(axis=-1))
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
-        local = self._rewards.of_robots(allocation.rate, before_m, after_m, arrived)
+        local = self._rewards.of_robots(credit, before_m, after_m, arrived)
+        shared = self._rewards.of_access_point(allocation.rate, drove, weights)
         return StepResult(
             rate=allocation.rate,
+            credit=credit,
             local_reward=only(drove, local),
-            global_reward=only(running, self._rewards.of_access_point(allocation.rate, drove)),
+            global_reward=only(running, shared),
             drove=drove,
             arrived=arrived,
             terminated=terminated,
             truncated=truncated,
             allocation=allocation,
         )
+
+    def _credit(
+        self,
+        gain: NDArray[np.float64],
+        sent: Allocation,
+        drove: NDArray[np.bool_],
+        weights: NDArray[np.float64] | None,
+    ) -> NDArray[np.float64]:
+        """What robots are credited with for what was sent over these channels, shape (B, K)."""
+        if weights is None or not self._rewards.weighs_credit:
+            return sent.rate
+        without = self.downlink.rates_without(gain, sent) if self._rewards.weighs_absence else None
+        return self._rewards.credit(sent.rate, drove, weights, without)

@@ -64,7 +64,7 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     phi R + psi (distance gone towards the destination, in m) - 1, and + 100 on arrival, with
     phi = 0.05 and psi = 3. R is the robot's rate in bit/s/Hz, or the quality lg(R) with
-    ``metric=qoe``. Not scaled.
+    ``metric=qoe``, weighed as ``reward.credit`` says. Not scaled.
 
     ## Starting State
 
