@@ -182,8 +182,10 @@ class RewardConfig:
         float, Interval(gt=0, le=1), "kappa, of d^t; the robots' discount makes it a potential"
     ] = 1.0
     distance: Annotated[
-        str, Literal["straight", "way"], "d; way is the shortest over the floor"
-    ] = "straight"
+        str,
+        Literal["auto", "straight", "way"],
+        "d; way is the shortest over the floor, auto that where walls are solid",
+    ] = "auto"
     time: Annotated[float, "R_time, Table I"] = -1.0
     goal: Annotated[float, "R_goal, Table I"] = 100.0
     sum_rate: Annotated[float, "tau_1, Table I"] = 0.1

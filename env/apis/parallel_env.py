@@ -79,9 +79,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     ## Rewards
 
     Not scaled. A robot: phi R + psi (distance gone towards the destination, in m) - 1, and + 100
-    where it arrives, with phi = 0.05 and psi = 3; the distance is straight, with
-    ``reward.distance=way`` the shortest over the floor. The access point: 0.1 times the sum of
-    rates. With ``metric=qoe`` the quality lg(R) of those that drive stands for R in both;
+    where it arrives, with phi = 0.05 and psi = 3; the distance is straight, where walls are solid
+    (or with ``reward.distance=way``) the shortest over the floor. The access point: 0.1 times the
+    sum of rates. With ``metric=qoe`` the quality lg(R) of those that drive stands for R in both;
     ``reward.credit`` and ``reward.weights`` weigh the rates as the paper's objective does.
 
     ## Starting State

@@ -226,7 +226,7 @@ def test_guidance_along_the_way_is_the_length_over_the_floor_in_metres():
     outcome = world.step(np.zeros(1, dtype=int), np.array([[3]]), np.array([[1]]))
     gained = 3.0 * 0.5 - 1.0 + 0.05 * outcome.rate[0, 0]
     assert outcome.local_reward[0, 0] == pytest.approx(gained)
-    straight = checked_config(solid(CUP, [[3.25, 2.25]], robots=1))
+    straight = checked_config(solid(CUP, [[3.25, 2.25]], robots=1, reward={"distance": "straight"}))
     other = world_of(straight)
     other.reset(np.array([[4 * 8 + 5]]))
     outcome = other.step(np.zeros(1, dtype=int), np.array([[3]]), np.array([[1]]))
@@ -234,7 +234,7 @@ def test_guidance_along_the_way_is_the_length_over_the_floor_in_metres():
 
 
 @pytest.mark.parametrize("block", [False, True])
-@pytest.mark.parametrize("along", ["straight", "way"])
+@pytest.mark.parametrize("along", ["auto", "straight", "way"])
 def test_a_slice_makes_the_worlds_reward_bit_by_bit(block, along):
     changes = {"reward": {"distance": along}, "collisions": "block" if block else "allow"}
     config = checked_config(solid(CUP, [[3.25, 2.25], [0.25, 0.25]], **changes))
@@ -254,10 +254,25 @@ def test_a_slice_makes_the_worlds_reward_bit_by_bit(block, along):
             assert alone[0] == outcome.local_reward[0, k]
 
 
+@pytest.mark.parametrize("name", ["corridor", "hall"])
+def test_by_default_the_way_guides_where_walls_are_solid_and_nowhere_else(name):
+    def table(plan, **changes):
+        config = checked_config({"plan": plan, **changes})
+        return world_of(config).scenario.distance_m
+
+    way, straight = ({"reward": {"distance": along}} for along in ("way", "straight"))
+    assert (table(name) == table(name, **way)).all()
+    assert (table("default") == table("default", **straight)).all()
+    radio = {"walls": {"block_motion": False}}
+    assert (table(name, **radio) == table(name, **radio, **straight)).all()
+
+
 def test_the_start_distance_stays_a_straight_one():
     changes = {"tasks": {"start_distance_m": 2.0}}
     goals = [[3.25, 2.25], [0.25, 0.25]]
-    straight = world_of(checked_config(solid(CUP, goals, **changes)), worlds=20)
+    straight = world_of(
+        checked_config(solid(CUP, goals, reward={"distance": "straight"}, **changes)), worlds=20
+    )
     way = world_of(
         checked_config(solid(CUP, goals, reward={"distance": "way"}, **changes)), worlds=20
     )
