@@ -160,6 +160,11 @@ class StateConfig:
     destination: Annotated[str, Literal["offset", "none"], "none is the paper to the letter"] = (
         "offset"
     )
+    way: Annotated[
+        str,
+        Literal["auto", "on", "off"],
+        "a robot's moves that shorten its way, and the way left; auto: where walls are solid",
+    ] = "auto"
 
 
 @dataclass(frozen=True)

@@ -26,14 +26,13 @@ class LocalEnv:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        observer, destinations = scenario.observer, scenario.destinations
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
-        self._robot = np.arange(len(destinations))
+        self._robot = np.arange(len(scenario.destinations))
         self.cells = len(self._distance_m)
-        self.observation_size = observer.local_size
+        self.observation_size = scenario.observer.local_size
         everywhere = np.broadcast_to(np.arange(self.cells)[:, None], self._distance_m.shape)
         silence_db = np.zeros(everywhere.shape, np.float32)
-        self._standing = observer.local(everywhere, silence_db, destinations)  # but the channel
+        self._standing = scenario.local_states(everywhere, silence_db)  # all but the channel
 
     def observe(
         self, cell: NDArray[np.int32], channel_db: NDArray[np.float32]

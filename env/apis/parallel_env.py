@@ -67,6 +67,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | 2   | (\|hbar\|^2 in dB + 70) / 20, direct channel   | -10 | 10  |
     | 3-4 | way left in x and y over the room's side       | -1  | 1   |
 
+    With solid walls or ``state.way=on`` five more: for each direction the slots that the move
+    saves (-1, 0 or 1), and the slots left over half of the floor's rows and columns (0 to 10).
+
     The access point's, shape (8 K,) or (6 K,): for each robot in turn, zeros once it has arrived,
 
     | Num | Observation                                    | Min | Max |
@@ -74,7 +77,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | 0-2 | the robot's 0-2                                |     |     |
     | 3-4 | cos and sin of arg hbar                        | -1  | 1   |
     | 5   | 1 while driving                                | 0   | 1   |
-    | 6-7 | the robot's 3-4                                | -1  | 1   |
+    | 6-7 | the robot's 3-4, the offset                    | -1  | 1   |
 
     ## Rewards
 

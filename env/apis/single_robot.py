@@ -60,6 +60,9 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     | 3   | way left in x over the room's width  | -1  | 1   |
     | 4   | way left in y over the room's depth  | -1  | 1   |
 
+    What ``state.way`` adds, also by default where walls are solid, is that of
+    ``RISFleetParallelEnv``.
+
     ## Rewards
 
     phi R + psi (distance gone towards the destination, in m) - 1, and + 100 on arrival, with

@@ -12,6 +12,9 @@ CHANNEL_MIDDLE_DB = 70.0
 CHANNEL_SPREAD_DB = 20.0
 CHANNEL = 2
 """Where the channel stands in a robot's own state."""
+WAY_SIZE = 5
+WAY_BOUND = 10.0
+"""Most that is seen of the way left; so much is seen where there is none."""
 
 
 def scaled_channel(channel_db: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -23,12 +26,19 @@ class ObservationEncoder:
     """Builds observations from cells and measured channels; knows the room, not the robots.
 
     A robot's own state is q / 15 - 1, (hbar_dB + 70) / 20 and, with
-    ``state.destination=offset``, (q_D - q) / 30, in a room of 30 m. The AP's holds for each robot
-    q / 15 - 1, (hbar_dB + 70) / 20, cos and sin of arg hbar, 1 while driving, and the offset
-    likewise; zeros for a robot that is not driving. Eqs. (6) and (9).
+    ``state.destination=offset``, (q_D - q) / 30, in a room of 30 m. With ``state.way`` its way
+    over the floor follows, see ``way``. The AP's holds for each robot q / 15 - 1,
+    (hbar_dB + 70) / 20, cos and sin of arg hbar, 1 while driving, and the offset likewise; zeros
+    for a robot that is not driving. Eqs. (6) and (9).
 
     Args:
         config: the environment.
+
+    Attributes:
+        own_size: how many numbers of s_L the AP sees too: position, channel, offset.
+        has_way: whether s_L has the way.
+        local_size: of s_L.
+        global_size: of s_G.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -36,7 +46,10 @@ class ObservationEncoder:
         self._centres = floor.centres()
         self._size_m = floor.size_m
         self._offset = config.state.destination == "offset"
-        self.local_size = 5 if self._offset else 3
+        self._way_scale = 2.0 / (floor.rows + floor.columns)
+        self.own_size = 5 if self._offset else 3
+        self.has_way = _has_way(config)
+        self.local_size = self.own_size + WAY_SIZE * self.has_way
         self.global_size = config.robots * (8 if self._offset else 6)
 
     def local(
@@ -44,6 +57,7 @@ class ObservationEncoder:
         cell: NDArray[np.int64],
         channel_db: NDArray[np.float32],
         destination: NDArray[np.int64],
+        way: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """The robots' states s_L, Eq. (9).
 
@@ -51,6 +65,7 @@ class ObservationEncoder:
             cell: where each robot is, shape (..., K).
             channel_db: |hbar_k|^2 in dB, shape (..., K).
             destination: where each is going, a cell, shape (K,).
+            way: with ``has_way`` the way of each, shape (..., K, WAY_SIZE).
 
         Returns:
             States, float32, shape (..., K, local_size).
@@ -61,7 +76,27 @@ class ObservationEncoder:
         state[..., CHANNEL] = scaled_channel(channel_db)
         if self._offset:
             state[..., 3:5] = (self._centres[destination] - position) / self._size_m
+        if way is not None:
+            state[..., self.own_size :] = way
         return state
+
+    def way(
+        self, slots_to_go: NDArray[np.int64], slots_then: NDArray[np.int64]
+    ) -> NDArray[np.float32]:
+        """What a robot knows of its way from its plan of the floor.
+
+        Args:
+            slots_to_go: fewest slots from where each robot is, shape (..., K).
+            slots_then: the same after each of the four moves, shape (..., K, 4).
+
+        Returns:
+            For each move the slots that it saves, 1, 0 or -1, and the slots left over half of the
+            floor's rows and columns, at most ``WAY_BOUND``, float32, shape (..., K, WAY_SIZE).
+        """
+        way = np.empty((*slots_to_go.shape, WAY_SIZE), dtype=np.float32)
+        way[..., :4] = slots_to_go[..., None] - slots_then
+        way[..., 4] = np.minimum(slots_to_go * self._way_scale, WAY_BOUND)
+        return way
 
     def global_observation(
         self,
@@ -86,6 +121,13 @@ class ObservationEncoder:
         state[..., 3] = unit.real
         state[..., 4] = unit.imag
         state[..., 5] = 1.0
-        state[..., 6:] = local[..., 3:]
+        state[..., 6:] = local[..., 3 : self.own_size]
         state *= driving[..., None]
         return state.reshape(*driving.shape[:-1], self.global_size)
+
+
+def _has_way(config: EnvConfig) -> bool:
+    """Whether robots see their way: as ``state.way`` says, or where walls stop them."""
+    if config.state.way == "auto":
+        return config.walls.block_motion
+    return config.state.way == "on"

@@ -57,6 +57,7 @@ CHOICES = {
     "channel.los_phase": "zero or distance",
     "power.resolve": "one of project, residual, zero",
     "state.destination": "offset or none",
+    "state.way": "one of auto, on, off",
     "reward.distance": "one of auto, straight, way",
     "reward.credit": "one of rate, objective, team, difference",
     "reward.weights": "equal or objective",

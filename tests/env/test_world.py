@@ -37,6 +37,8 @@ VARIANTS = {
     "subsurfaces": EnvConfig(robots=2, ris=RisConfig(side=12, subsurfaces=3)),
     "faint": EnvConfig(robots=4, ris=RisConfig(side=0), power=PowerConfig(max_dbm=0.0)),
     "literal": EnvConfig(robots=3, state=StateConfig(destination="none")),
+    "way": EnvConfig(robots=3, state=StateConfig(way="on")),
+    "literal_way": EnvConfig(robots=3, state=StateConfig(destination="none", way="on")),
     "many": EnvConfig(robots=6, power=PowerConfig(levels=8)),
     "oma": EnvConfig(robots=4, access="oma"),
     "reallocate": EnvConfig(robots=4, access="oma", oma=OmaConfig(share="reallocate")),
@@ -477,7 +479,8 @@ def test_positions_are_scaled_to_a_room_of_any_shape():
 
 
 @pytest.mark.parametrize(
-    "variant", ["project", "zero", "literal", "many", "qoe", "oma_qoe", "common"]
+    "variant",
+    ["project", "zero", "literal", "way", "literal_way", "many", "qoe", "oma_qoe", "common"],
 )
 def test_a_slice_makes_the_worlds_observation_and_reward_bit_by_bit(variant):
     config = VARIANTS[variant]

@@ -39,6 +39,7 @@ VARIANTS: list[dict[str, Any]] = [
     {"ris": {"side": 6, "response": "near", "action": "codebook", "sectors": [3, 2]}},
     {"channel": {"fading": "slot"}},
     {"robots": 4, "reward": {"credit": "difference", "weights": "objective"}},
+    {"state": {"way": "on", "destination": "none"}, "channel": {"fading": "slot"}},
     {"collisions": "block", "walls": {"segments": [[0.0, 4.0, 7.0, 4.0]], "block_motion": True}},
 ]
 
