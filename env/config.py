@@ -165,6 +165,12 @@ class StateConfig:
         Literal["auto", "on", "off"],
         "a robot's moves that shorten its way, and the way left; auto: where walls are solid",
     ] = "auto"
+    weights: Annotated[
+        bool, "the AP sees each robot's share of all w_k, what its rate counts for in (5a)"
+    ] = False
+    order: Annotated[
+        str, Literal["index", "gain"], "of robots before the AP; gain: the strongest hbar first"
+    ] = "index"
 
 
 @dataclass(frozen=True)

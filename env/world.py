@@ -47,7 +47,7 @@ class _ObservationTable(NamedTuple):
     """Observations that depend on a robot and its cell alone."""
 
     local: NDArray[np.float32]  # s_L, (cells, K, local_size)
-    by_all: NDArray[np.float32]  # its part of s_G while driving, (cells, K, global_size / K)
+    by_ap: NDArray[np.float32]  # what the AP sees of it while driving, (cells, K, ...)
 
 
 MAX_SEEN = 2**20
@@ -102,8 +102,8 @@ class World:
         cell = np.broadcast_to(np.arange(cells)[:, None], (cells, robots))
         tables, everywhere = self.radio_map, np.ones((cells, robots), dtype=bool)
         local = self.scenario.local_states(cell, tables.direct_db[cell])
-        by_all = self.observer.global_observation(local, tables.direct[cell], everywhere)
-        return _ObservationTable(local, by_all.reshape(cells, robots, -1))
+        seen = self.observer.seen_robots(local, tables.direct[cell], everywhere)
+        return _ObservationTable(local, seen)
 
     @property
     def robots(self) -> int:
@@ -232,14 +232,24 @@ class World:
 
     def global_observation(self, local: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """s_G, float32, shape (B, global_size); ``local`` saves computing s_L again."""
-        if self._seen is not None:
-            seen = self._seen.by_all[self.cell, self._robot]
-            if np.count_nonzero(self.driving) < self.driving.size:
-                seen *= self.driving[..., None]
+        seen = self._seen_robots(local)
+        if not self.observer.arranges:
             return seen.reshape(len(self.cell), -1)
-        if local is None:
-            local = self.local_observations()
-        return self.observer.global_observation(local, self.direct, self.driving)
+        weights = None
+        if self.observer.has_weights:
+            weights = self._rewards.weights(self.travel_slots)
+        return self.observer.global_observation(seen, self.direct, self.driving, weights)
+
+    def _seen_robots(self, local: NDArray[np.float32] | None) -> NDArray[np.float32]:
+        """What the AP sees of each robot by itself, zeros where it is not driving."""
+        if self._seen is None:
+            if local is None:
+                local = self.local_observations()
+            return self.observer.seen_robots(local, self.direct, self.driving)
+        seen = self._seen.by_ap[self.cell, self._robot]
+        if np.count_nonzero(self.driving) < self.driving.size:
+            seen *= self.driving[..., None]
+        return seen
 
     def step(
         self,

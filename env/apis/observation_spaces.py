@@ -24,10 +24,11 @@ def robot_space(encoder: ObservationEncoder) -> spaces.Box[np.float32]:
 def ap_space(encoder: ObservationEncoder, robots: int) -> spaces.Box[np.float32]:
     """A space of the access point's observations s_G: of each robot in turn.
 
-    Position, channel, cos and sin of its phase, 1 while driving, offset to the destination.
+    Position, channel, cos and sin of its phase, 1 while driving, offset to the destination, its
+    share of all weights.
     """
-    own = _own(encoder)
-    return _box([*own[:3], (-1.0, 1.0), (-1.0, 1.0), (0.0, 1.0), *own[3:]] * robots)
+    own, share = _own(encoder), [(0.0, 1.0)] * encoder.has_weights
+    return _box([*own[:3], (-1.0, 1.0), (-1.0, 1.0), (0.0, 1.0), *own[3:], *share] * robots)
 
 
 def _own(encoder: ObservationEncoder) -> list[Bounds]:

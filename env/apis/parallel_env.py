@@ -79,6 +79,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | 5   | 1 while driving                                | 0   | 1   |
     | 6-7 | the robot's 3-4, the offset                    | -1  | 1   |
 
+    With ``state.weights`` one more for each: its share of the weights of all that drive (0 to 1).
+    With ``state.order=gain`` robots stand from the strongest direct channel to the weakest.
+
     ## Rewards
 
     Not scaled. A robot: phi R + psi (distance gone towards the destination, in m) - 1, and + 100

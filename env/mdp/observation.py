@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env.config import EnvConfig
+from env.downlink.access import decoding_order
 from env.geometry.floor import Floor
+from env.mdp.reward import shares
 
 CHANNEL_MIDDLE_DB = 70.0
 CHANNEL_SPREAD_DB = 20.0
@@ -29,7 +31,8 @@ class ObservationEncoder:
     ``state.destination=offset``, (q_D - q) / 30, in a room of 30 m. With ``state.way`` its way
     over the floor follows, see ``way``. The AP's holds for each robot q / 15 - 1,
     (hbar_dB + 70) / 20, cos and sin of arg hbar, 1 while driving, and the offset likewise; zeros
-    for a robot that is not driving. Eqs. (6) and (9).
+    for a robot that is not driving. With ``state.weights`` each robot's share of the weight of all
+    that drive comes last, with ``state.order=gain`` robots stand by their channels. Eqs. (6), (9).
 
     Args:
         config: the environment.
@@ -37,6 +40,8 @@ class ObservationEncoder:
     Attributes:
         own_size: how many numbers of s_L the AP sees too: position, channel, offset.
         has_way: whether s_L has the way.
+        has_weights: whether s_G has weights.
+        arranges: whether s_G is more than what is seen of each robot by itself, in turn.
         local_size: of s_L.
         global_size: of s_G.
     """
@@ -50,7 +55,9 @@ class ObservationEncoder:
         self.own_size = 5 if self._offset else 3
         self.has_way = _has_way(config)
         self.local_size = self.own_size + WAY_SIZE * self.has_way
-        self.global_size = config.robots * (8 if self._offset else 6)
+        self.has_weights, self._by_gain = config.state.weights, config.state.order == "gain"
+        self.arranges = self.has_weights or self._by_gain
+        self.global_size = config.robots * (self.own_size + 3 + self.has_weights)
 
     def local(
         self,
@@ -98,13 +105,13 @@ class ObservationEncoder:
         way[..., 4] = np.minimum(slots_to_go * self._way_scale, WAY_BOUND)
         return way
 
-    def global_observation(
+    def seen_robots(
         self,
         local: NDArray[np.float32],
         channel: NDArray[np.complex128],
         driving: NDArray[np.bool_],
     ) -> NDArray[np.float32]:
-        """The AP's state s_G, Eq. (6).
+        """What the AP sees of each robot by itself.
 
         Args:
             local: the robots' states, shape (..., K, local_size).
@@ -112,18 +119,43 @@ class ObservationEncoder:
             driving: which robots are driving, shape (..., K).
 
         Returns:
+            Zeros where a robot is not driving, float32, shape (..., K, own_size + 3).
+        """
+        seen = np.empty((*driving.shape, self.own_size + 3), dtype=np.float32)
+        seen[..., 0:3] = local[..., 0:3]
+        unit = channel / np.abs(channel)
+        seen[..., 3] = unit.real
+        seen[..., 4] = unit.imag
+        seen[..., 5] = 1.0
+        seen[..., 6:] = local[..., 3 : self.own_size]
+        seen *= driving[..., None]
+        return seen
+
+    def global_observation(
+        self,
+        seen: NDArray[np.float32],
+        channel: NDArray[np.complex128],
+        driving: NDArray[np.bool_],
+        weights: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float32]:
+        """The AP's state s_G, Eq. (6).
+
+        Args:
+            seen: of each robot, ``seen_robots``.
+            channel: hbar_k, shape (..., K).
+            driving: which robots are driving, shape (..., K).
+            weights: with ``has_weights`` w_k, shape (..., K).
+
+        Returns:
             State, float32, shape (..., global_size).
         """
-        robots = driving.shape[-1]
-        state = np.empty((*driving.shape, self.global_size // robots), dtype=np.float32)
-        state[..., 0:3] = local[..., 0:3]
-        unit = channel / np.abs(channel)
-        state[..., 3] = unit.real
-        state[..., 4] = unit.imag
-        state[..., 5] = 1.0
-        state[..., 6:] = local[..., 3 : self.own_size]
-        state *= driving[..., None]
-        return state.reshape(*driving.shape[:-1], self.global_size)
+        if weights is not None:
+            share = shares(weights, driving).astype(np.float32)
+            seen = np.concatenate([seen, share[..., None]], axis=-1)
+        if self._by_gain:
+            order = decoding_order(channel.real**2 + channel.imag**2, driving)
+            seen = np.take_along_axis(seen, order[..., None], axis=-2)
+        return seen.reshape(*driving.shape[:-1], self.global_size)
 
 
 def _has_way(config: EnvConfig) -> bool:

@@ -58,6 +58,7 @@ CHOICES = {
     "power.resolve": "one of project, residual, zero",
     "state.destination": "offset or none",
     "state.way": "one of auto, on, off",
+    "state.order": "index or gain",
     "reward.distance": "one of auto, straight, way",
     "reward.credit": "one of rate, objective, team, difference",
     "reward.weights": "equal or objective",

@@ -38,6 +38,12 @@ CONFIGS: dict[str, dict[str, Any]] = {
     "state_without_destination": {"robots": 2, "state": {"destination": "none"}, "motion": SHORT},
     "round_solid_walls": {"robots": 2, "plan": "corridor", "motion": {"max_slots": 120}},
     "the_way": {"robots": 2, "state": {"way": "on", "destination": "none"}, "motion": SHORT},
+    "weights_by_gain": {
+        "robots": 3,
+        "state": {"weights": True, "order": "gain"},
+        "reward": {"credit": "difference", "weights": "objective", "guidance_discount": 0.8},
+        "motion": SHORT,
+    },
     "residual": {"robots": 4, "power": {"resolve": "residual", "levels": 3}, "motion": SHORT},
     "zero": {"robots": 2, "power": {"resolve": "zero"}, "motion": SHORT},
     "two_subsurfaces": {"robots": 2, "ris": {"subsurfaces": 2}, "motion": SHORT},

@@ -40,6 +40,7 @@ VARIANTS: list[dict[str, Any]] = [
     {"channel": {"fading": "slot"}},
     {"robots": 4, "reward": {"credit": "difference", "weights": "objective"}},
     {"state": {"way": "on", "destination": "none"}, "channel": {"fading": "slot"}},
+    {"robots": 4, "state": {"weights": True, "order": "gain"}},
     {"collisions": "block", "walls": {"segments": [[0.0, 4.0, 7.0, 4.0]], "block_motion": True}},
 ]
 
