@@ -46,7 +46,7 @@ class StepResult(NamedTuple):
 class _ObservationTable(NamedTuple):
     """Observations that depend on a robot and its cell alone."""
 
-    local: NDArray[np.float32]  # s_L, (cells, K, local_size)
+    local: NDArray[np.float32]  # s_L without what the AP tells, (cells, K, ...)
     by_ap: NDArray[np.float32]  # what the AP sees of it while driving, (cells, K, ...)
 
 
@@ -226,6 +226,18 @@ class World:
 
     def local_observations(self) -> NDArray[np.float32]:
         """s_L of every robot, float32, shape (B, K, local_size)."""
+        alone = self._known_alone()
+        if not self.observer.broadcast_size:
+            return alone
+        told = self.observer.broadcast(alone, self.travel_slots, self.driving)
+        return np.concatenate([alone, told], axis=-1)
+
+    def broadcast(self) -> NDArray[np.float32]:
+        """What the AP tells each robot, the end of s_L, float32, shape (B, K, broadcast_size)."""
+        return self.observer.broadcast(self._known_alone(), self.travel_slots, self.driving)
+
+    def _known_alone(self) -> NDArray[np.float32]:
+        """What each robot knows by itself of s_L."""
         if self._seen is not None:
             return self._seen.local[self.cell, self._robot]
         return self.scenario.local_states(self.cell, self.measured_db)
@@ -244,7 +256,7 @@ class World:
         """What the AP sees of each robot by itself, zeros where it is not driving."""
         if self._seen is None:
             if local is None:
-                local = self.local_observations()
+                local = self._known_alone()
             return self.observer.seen_robots(local, self.direct, self.driving)
         seen = self._seen.by_ap[self.cell, self._robot]
         if np.count_nonzero(self.driving) < self.driving.size:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from gymnasium import spaces
 
-from env.mdp.observation import WAY_BOUND, ObservationEncoder
+from env.mdp.observation import LEAD_BOUND, PACE_BOUND, WAY_BOUND, ObservationEncoder
 
 CHANNEL_BOUND = 10.0
 """Bound of the channel's entry: |hbar|^2 from -270 to 130 dB, more than any floor has."""
@@ -14,10 +14,14 @@ Bounds = tuple[float, float]
 
 
 def robot_space(encoder: ObservationEncoder) -> spaces.Box[np.float32]:
-    """A new space of a robot's observations s_L: position, channel, offset, its way."""
-    bounds = _own(encoder)
+    """A new space of a robot's observations s_L: position, channel, offset, its way, others."""
+    own = _own(encoder)
+    bounds = [*own]
     if encoder.has_way:
         bounds += [(-1.0, 1.0)] * 4 + [(0.0, WAY_BOUND)]
+    if encoder.broadcast_size:
+        other = [(0.0, 1.0), (-LEAD_BOUND, LEAD_BOUND), *own]
+        bounds += other * (encoder.broadcast_size // len(other)) + [(0.0, PACE_BOUND)]
     return _box(bounds)
 
 

@@ -69,6 +69,10 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     With solid walls or ``state.way=on`` five more: for each direction the slots that the move
     saves (-1, 0 or 1), and the slots left over half of the floor's rows and columns (0 to 10).
+    With ``state.others=m`` seven (or five) more for each of m other robots, those that will have
+    driven the fewest slots first, zeros for one that has arrived: 1, how many slots more that is
+    over ``reward.horizon_slots`` (-2 to 2), its 0-4; then the horizon over the robot's own slots
+    (0 to 4).
 
     The access point's, shape (8 K,) or (6 K,): for each robot in turn, zeros once it has arrived,
 

@@ -18,6 +18,12 @@ WAY_SIZE = 5
 WAY_BOUND = 10.0
 """Most that is seen of the way left; so much is seen where there is none."""
 
+LEAD_BOUND = 2.0
+"""Most that is seen of how many slots more or fewer another robot will have driven."""
+PACE_BOUND = 4.0
+"""Most that is seen of a short way: the horizon over the slots of a robot."""
+LAST = np.iinfo(np.int64).max
+
 
 def scaled_channel(channel_db: NDArray[np.float32]) -> NDArray[np.float32]:
     """A measured channel |hbar|^2 in dB as agents see it, same shape."""
@@ -29,7 +35,8 @@ class ObservationEncoder:
 
     A robot's own state is q / 15 - 1, (hbar_dB + 70) / 20 and, with
     ``state.destination=offset``, (q_D - q) / 30, in a room of 30 m. With ``state.way`` its way
-    over the floor follows, see ``way``. The AP's holds for each robot q / 15 - 1,
+    over the floor follows, see ``way``, and with ``state.others`` what the AP tells it of other
+    robots, see ``broadcast``. The AP's holds for each robot q / 15 - 1,
     (hbar_dB + 70) / 20, cos and sin of arg hbar, 1 while driving, and the offset likewise; zeros
     for a robot that is not driving. With ``state.weights`` each robot's share of the weight of all
     that drive comes last, with ``state.order=gain`` robots stand by their channels. Eqs. (6), (9).
@@ -40,6 +47,7 @@ class ObservationEncoder:
     Attributes:
         own_size: how many numbers of s_L the AP sees too: position, channel, offset.
         has_way: whether s_L has the way.
+        broadcast_size: how many numbers of s_L the AP tells a robot.
         has_weights: whether s_G has weights.
         arranges: whether s_G is more than what is seen of each robot by itself, in turn.
         local_size: of s_L.
@@ -54,7 +62,10 @@ class ObservationEncoder:
         self._way_scale = 2.0 / (floor.rows + floor.columns)
         self.own_size = 5 if self._offset else 3
         self.has_way = _has_way(config)
-        self.local_size = self.own_size + WAY_SIZE * self.has_way
+        self._others, self._horizon_slots = config.state.others, config.reward.horizon_slots
+        self.broadcast_size = self._others * (2 + self.own_size) + (self._others > 0)
+        self._alone_size = self.own_size + WAY_SIZE * self.has_way
+        self.local_size = self._alone_size + self.broadcast_size
         self.has_weights, self._by_gain = config.state.weights, config.state.order == "gain"
         self.arranges = self.has_weights or self._by_gain
         self.global_size = config.robots * (self.own_size + 3 + self.has_weights)
@@ -66,7 +77,7 @@ class ObservationEncoder:
         destination: NDArray[np.int64],
         way: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """The robots' states s_L, Eq. (9).
+        """The robots' states s_L as they know them by themselves, Eq. (9).
 
         Args:
             cell: where each robot is, shape (..., K).
@@ -75,10 +86,10 @@ class ObservationEncoder:
             way: with ``has_way`` the way of each, shape (..., K, WAY_SIZE).
 
         Returns:
-            States, float32, shape (..., K, local_size).
+            States, float32, shape (..., K, local_size - broadcast_size).
         """
         position = self._centres[cell]
-        state = np.empty((*cell.shape, self.local_size), dtype=np.float32)
+        state = np.empty((*cell.shape, self._alone_size), dtype=np.float32)
         state[..., 0:2] = position / (self._size_m / 2.0) - 1.0
         state[..., CHANNEL] = scaled_channel(channel_db)
         if self._offset:
@@ -105,6 +116,46 @@ class ObservationEncoder:
         way[..., 4] = np.minimum(slots_to_go * self._way_scale, WAY_BOUND)
         return way
 
+    def broadcast(
+        self,
+        local: NDArray[np.float32],
+        travel_slots: NDArray[np.int64],
+        driving: NDArray[np.bool_],
+    ) -> NDArray[np.float32]:
+        """What the AP tells each robot k of the others and of itself, the end of s_L.
+
+        Of as many others j as ``state.others`` says, the driving ones with the fewest slots T_j
+        first, by index where equal: 1 while driving, (T_j - T_k) / T_h, and j's own position,
+        channel and offset; zeros for one that is not driving. Last, T_h / T_k.
+
+        Args:
+            local: the robots' states, shape (B, K, own_size or more).
+            travel_slots: T_k, shape (B, K).
+            driving: which robots are driving, shape (B, K).
+
+        Returns:
+            What is told, float32, shape (B, K, broadcast_size).
+        """
+        (rows, robots), size = driving.shape, 2 + self.own_size
+        told = np.zeros((rows, robots, self.broadcast_size), dtype=np.float32)
+        if not self._others:
+            return told
+        # All robots by T_j; each row leaves one of them out, the robot that is told.
+        order = np.where(driving, travel_slots, LAST).argsort(axis=-1, kind="stable")
+        every = np.broadcast_to(order[:, None, :], (rows, robots, robots))
+        kept = every != np.arange(robots)[:, None]
+        other = every[kept].reshape(rows, robots, robots - 1)[..., : self._others]
+        row = np.arange(rows)[:, None, None]
+        seen = np.empty((*other.shape, size), dtype=np.float32)
+        seen[..., 0] = 1.0
+        lead = (travel_slots[row, other] - travel_slots[..., None]) / self._horizon_slots
+        seen[..., 1] = np.clip(lead, -LEAD_BOUND, LEAD_BOUND)
+        seen[..., 2:] = local[row, other, : self.own_size]
+        seen = np.where(driving[row, other][..., None], seen, np.float32(0.0))
+        told[..., :-1] = seen.reshape(rows, robots, -1)
+        told[..., -1] = np.minimum(self._horizon_slots / travel_slots, PACE_BOUND)
+        return told
+
     def seen_robots(
         self,
         local: NDArray[np.float32],
@@ -114,7 +165,7 @@ class ObservationEncoder:
         """What the AP sees of each robot by itself.
 
         Args:
-            local: the robots' states, shape (..., K, local_size).
+            local: the robots' states, shape (..., K, own_size or more).
             channel: hbar_k, shape (..., K).
             driving: which robots are driving, shape (..., K).
 

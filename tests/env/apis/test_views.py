@@ -44,6 +44,13 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "reward": {"credit": "difference", "weights": "objective", "guidance_discount": 0.8},
         "motion": SHORT,
     },
+    "told_of_others": {"robots": 3, "state": {"others": 2, "way": "on"}, "motion": SHORT},
+    "told_of_one_other": {
+        "robots": 3,
+        "state": {"others": 1, "destination": "none"},
+        "reward": {"horizon_slots": 200.0},
+        "motion": SHORT,
+    },
     "residual": {"robots": 4, "power": {"resolve": "residual", "levels": 3}, "motion": SHORT},
     "zero": {"robots": 2, "power": {"resolve": "zero"}, "motion": SHORT},
     "two_subsurfaces": {"robots": 2, "ris": {"subsurfaces": 2}, "motion": SHORT},
