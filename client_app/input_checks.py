@@ -15,6 +15,9 @@ RATE_LIMIT = 1024.0
 CHANNEL_LIMIT_DB = 4000.0
 """Beyond 10 lg of the least and of the largest float64."""
 
+FEW = 16
+"""Records that are sooner checked one by one than all together."""
+
 _FIELDS = ["cell", "outcome_cell", "rate", "channel_db", "outcome_channel_db"]
 
 
@@ -23,14 +26,16 @@ def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells:
 
     Args:
         tick: for the message.
-        robots: which these are.
-        updates: UPDATE records, one for each of them.
+        robots: whose each record is.
+        updates: the records.
         cells: how many the floor has.
 
     Raises:
         ValueError: a cell that is not on the floor, or a rate or channel that is not a number or
             absurd; the message names tick, robot and value.
     """
+    if len(updates) > FEW:  # of many, only those that something is wrong with are looked at
+        robots, updates = _suspects(robots, updates, cells)
     for robot, received in zip(robots, updates[_FIELDS].tolist(), strict=True):
         cell, reached, rate, channel_db, reached_db = received
         if not (
@@ -48,6 +53,25 @@ def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells:
                 f" {cells - 1}, rates 0 to {RATE_LIMIT:g} bit/s/Hz, channels within"
                 f" {CHANNEL_LIMIT_DB:g} dB of 0"
             )
+    if "broadcast" in (updates.dtype.names or ()):
+        for name in ("broadcast", "outcome_broadcast"):
+            _check_finite(tick, robots, updates[name].sum(axis=-1), "a broadcast to")
+
+
+def _suspects(
+    robots: Sequence[int], updates: np.ndarray, cells: int
+) -> tuple[list[int], np.ndarray]:
+    """The records in which a number is out of range, with their robots."""
+    sound = (updates["rate"] >= 0.0) & (updates["rate"] <= RATE_LIMIT)
+    for name in ("cell", "outcome_cell"):
+        sound &= (updates[name] >= 0) & (updates[name] < cells)
+    for name in ("channel_db", "outcome_channel_db"):
+        sound &= np.abs(updates[name]) <= CHANNEL_LIMIT_DB
+    if "broadcast" in (updates.dtype.names or ()):
+        for name in ("broadcast", "outcome_broadcast"):
+            sound &= np.isfinite(updates[name].sum(axis=-1))
+    rows = np.flatnonzero(~sound)
+    return [robots[row] for row in rows], updates[rows]
 
 
 def check_rewards(
@@ -58,9 +82,15 @@ def check_rewards(
     Raises:
         ValueError: one is not finite; the message names tick, robot and value.
     """
-    for robot, value, learns in zip(robots, reward.tolist(), learning.tolist(), strict=True):
-        if learns and not -np.inf < value < np.inf:
-            raise ValueError(f"tick {tick}: the reward of robot {robot} is {value}")
+    _check_finite(tick, robots, np.where(learning, reward, 0.0), "the reward of")
+
+
+def _check_finite(
+    tick: int, robots: Sequence[int], values: NDArray[np.floating], what: str
+) -> None:
+    wrong = np.flatnonzero(~np.isfinite(values))
+    if len(wrong):
+        raise ValueError(f"tick {tick}: {what} robot {robots[wrong[0]]} is {values[wrong[0]]}")
 
 
 def check_model(window: int, weights: NDArray[np.float32]) -> None:

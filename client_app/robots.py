@@ -46,6 +46,7 @@ class RobotGroup:
         self._rows = tuple(robot for robot in robots for _ in range(config.train.worlds))
         own = Scenario.drawn(config.env, config.seed).of(robots)
         self._slice = LocalEnv(own, config.train.worlds)
+        self._is_credited = own.rewards.weighs_credit
         self.agents = DQN(
             robot_network(config),
             config.agent,
@@ -67,7 +68,8 @@ class RobotGroup:
         check_received(step.tick, self._rows, updates, self._slice.cells)
         flags = updates["flags"]
         learning = (flags & OUTCOME) != 0
-        observation = self._slice.observe(updates["cell"], updates["channel_db"])
+        told = updates["broadcast"] if self._slice.broadcast_size else None
+        observation = self._slice.observe(updates["cell"], updates["channel_db"], told)
         if learning.any():
             self._learn(step.tick, updates, observation, learning, (flags & ARRIVED) != 0)
         self._cell, self._observation = updates["cell"], observation
@@ -87,12 +89,14 @@ class RobotGroup:
     ) -> None:
         """Learns from an outcome; it led to what is observed now, unless an episode has ended."""
         reached = updates["outcome_cell"]
-        reward = self._slice.reward(updates["rate"], self._cell, reached, arrived)
+        credit = updates["credit"] if self._is_credited else updates["rate"]
+        reward = self._slice.reward(credit, self._cell, reached, arrived)
         check_rewards(tick, self._rows, reward, learning)
         next_observation = observation
         channel_db = updates["outcome_channel_db"]
         if (reached != updates["cell"]).any() or (channel_db != updates["channel_db"]).any():
-            next_observation = self._slice.observe(reached, channel_db)
+            told = updates["outcome_broadcast"] if self._slice.broadcast_size else None
+            next_observation = self._slice.observe(reached, channel_db, told)
         self.agents.learn(
             self._observation, self._action, reward, next_observation, arrived, learning
         )

@@ -160,21 +160,55 @@ class StateConfig:
     destination: Annotated[str, Literal["offset", "none"], "none is the paper to the letter"] = (
         "offset"
     )
+    way: Annotated[
+        str,
+        Literal["auto", "on", "off"],
+        "a robot's moves that shorten its way, and the way left; auto: where walls are solid",
+    ] = "auto"
+    others: Annotated[
+        int, Ge(0), "of how many other robots the AP tells each, those that weigh most first"
+    ] = 0
+    weights: Annotated[
+        bool, "the AP sees each robot's share of all w_k, what its rate counts for in (5a)"
+    ] = False
+    order: Annotated[
+        str, Literal["index", "gain"], "of robots before the AP; gain: the strongest hbar first"
+    ] = "index"
 
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights of the robots' and the access point's rewards, and which reward robots get."""
+    """Weights of the robots' and the access point's rewards, and which reward robots get.
+
+    A robot's weight w_k = (horizon / T_k)^2 is its rate's share of the objective (5a), with T_k the
+    slots that it will have driven in all: those so far and the shortest way that is left.
+    """
 
     model: Annotated[str, "the robots'; or an installed package's (docs/extending.md)"] = "paper"
     rate: Annotated[float, "phi"] = 0.05
+    credit: Annotated[
+        str,
+        Literal["rate", "objective", "team", "difference"],
+        "in the place of R_k: w_k R_k, all robots' sum of that, or what of the sum is robot k's",
+    ] = "rate"
     guidance: Annotated[float, "psi"] = 3.0
+    guidance_discount: Annotated[
+        float, Interval(gt=0, le=1), "kappa, of d^t; the robots' discount makes it a potential"
+    ] = 1.0
     distance: Annotated[
-        str, Literal["straight", "way"], "d; way is the shortest over the floor"
-    ] = "straight"
+        str,
+        Literal["auto", "straight", "way"],
+        "d; way is the shortest over the floor, auto that where walls are solid",
+    ] = "auto"
     time: Annotated[float, "R_time, Table I"] = -1.0
     goal: Annotated[float, "R_goal, Table I"] = 100.0
     sum_rate: Annotated[float, "tau_1, Table I"] = 0.1
+    weights: Annotated[
+        str, Literal["equal", "objective"], "of the rates in the access point's reward, or w_k"
+    ] = "equal"
+    horizon_slots: Annotated[
+        float, Interval(gt=0, le=1e6), "T_k of a robot with the weight 1, in w_k and in states"
+    ] = 40.0
     global_offset: float = 0.0
 
 

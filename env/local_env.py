@@ -1,7 +1,9 @@
 """A robot's local environment: its task, its observations and its rewards.
 
-A robot receives only what it could measure: its cell, its direct channel, its rate, whether it has
-arrived. Observation and reward are computed from that here, on the robot's side.
+A robot receives only what it could measure, its cell, its direct channel, whether it has arrived,
+and what the access point tells it: what it is credited with, by default its rate, and with
+``state.others`` what other robots do. Observation and reward are computed from that
+here, on the robot's side.
 """
 
 from __future__ import annotations
@@ -14,40 +16,62 @@ from env.scenario import Scenario
 
 
 class LocalEnv:
-    """The local environments of n robots.
+    """The local environments of n robots, each in one world or in several.
 
-    Rows of the arrays below are a robot's worlds, side by side, and then the next robot's.
+    Arrays have a row for each robot in each of its worlds, in all n = robots * worlds: first the
+    worlds of the first robot.
 
     Args:
         scenario: of these robots alone (``Scenario.of``).
-        worlds: E, in each of which every robot drives.
+        worlds: how many each robot is in.
 
     Attributes:
         cells: how many the floor has.
         observation_size: of s_L.
+        broadcast_size: how many numbers of it the access point tells.
     """
 
     def __init__(self, scenario: Scenario, worlds: int = 1) -> None:
-        observer, destinations = scenario.observer, scenario.destinations
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
-        self._robot = np.arange(len(destinations)).repeat(worlds)
+        self._robot = np.repeat(np.arange(len(scenario.destinations)), worlds)
         self.cells = len(self._distance_m)
-        self.observation_size = observer.local_size
+        self.observation_size = scenario.observer.local_size
+        self.broadcast_size = scenario.observer.broadcast_size
         everywhere = np.broadcast_to(np.arange(self.cells)[:, None], self._distance_m.shape)
         silence_db = np.zeros(everywhere.shape, np.float32)
-        self._standing = observer.local(everywhere, silence_db, destinations)  # but the channel
+        self._standing = scenario.local_states(everywhere, silence_db)  # all but the channel
 
     def observe(
-        self, cell: NDArray[np.int32], channel_db: NDArray[np.float32]
+        self,
+        cell: NDArray[np.int32],
+        channel_db: NDArray[np.float32],
+        broadcast: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """s_L of each robot, float32, shape (n, local_size)."""
+        """s_L of each robot.
+
+        Args:
+            cell: where it is, shape (n,).
+            channel_db: |hbar|^2 in dB as it measures it, shape (n,).
+            broadcast: what the access point tells it, shape (n, broadcast_size); not needed where
+                that is 0.
+
+        Returns:
+            States, float32, shape (n, observation_size).
+
+        Raises:
+            ValueError: the broadcast is missing.
+        """
         state = self._standing[cell, self._robot]
         state[:, CHANNEL] = scaled_channel(channel_db)
-        return state
+        if not self.broadcast_size:
+            return state
+        if broadcast is None:
+            raise ValueError("env.state.others: robots need what the access point tells them")
+        return np.concatenate([state, broadcast], axis=-1, dtype=np.float32)
 
     def reward(
         self,
-        rate: NDArray[np.float64],
+        credit: NDArray[np.float64],
         left: NDArray[np.int32],
         reached: NDArray[np.int32],
         arrived: NDArray[np.bool_],
@@ -55,7 +79,7 @@ class LocalEnv:
         """r_L of each robot: Eq. (11), or the user's own reward.
 
         Args:
-            rate: R_k in bit/s/Hz, shape (n,).
+            credit: R_k in bit/s/Hz, or what ``reward.credit`` puts in its place, shape (n,).
             left: the cell that each robot left, shape (n,).
             reached: the cell that it moved to, shape (n,).
             arrived: whether that is its destination, shape (n,).
@@ -65,4 +89,4 @@ class LocalEnv:
         """
         before = self._distance_m[left, self._robot]
         after = self._distance_m[reached, self._robot]
-        return self._rewards.of_robots(rate, before, after, arrived)
+        return self._rewards.of_robots(credit, before, after, arrived)

@@ -133,7 +133,7 @@ def register_reward(name: str, function: Reward) -> None:
     Args:
         name: letters, digits, ``_``, ``-`` and ``.``; again the same name replaces the function.
         function: with the arguments of ``env.mdp.reward.local_reward``, element by element; gives
-            rewards of their shape, float64.
+            rewards of their shape, float64. Its rate is the credit with ``reward.credit``.
 
     Raises:
         ValueError: that is no such name, or no function.

@@ -91,6 +91,25 @@ class Scenario:
         """D of the rewards: from each cell to each destination in m, shape (cells, K)."""
         return distances.distances_m(self.floor, self.destinations, self.config.reward.distance)
 
+    def local_states(
+        self, cell: NDArray[np.int64], channel_db: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """What each robot knows by itself of s_L, the same on the world's side and on the robots'.
+
+        Args:
+            cell: where each robot is, shape (..., K).
+            channel_db: |hbar_k|^2 in dB, shape (..., K).
+
+        Returns:
+            States, float32, shape (..., K, size).
+        """
+        way = None
+        if self.observer.has_way:
+            robot = np.arange(len(self.destinations))
+            then = self.slots_to_go[self.next_cell[cell], robot[:, None]]
+            way = self.observer.way(self.slots_to_go[cell, robot], then)
+        return self.observer.local(cell, channel_db, self.destinations, way)
+
     @cached_property
     def start_cells(self) -> list[NDArray[np.int64]]:
         """The cells that each robot may start from; see ``starts.start_cells``."""

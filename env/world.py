@@ -21,6 +21,8 @@ class StepResult(NamedTuple):
 
     Attributes:
         rate: R_k in bit/s/Hz at the cell that was left, shape (B, K).
+        credit: what ``reward.credit`` puts in the place of R_k in a robot's reward: ``rate`` by
+            default, shape (B, K).
         local_reward: r_{L,k}, 0 where a robot was not driving, shape (B, K).
         global_reward: r_G, shape (B,).
         drove: which robots were driving in the slot, shape (B, K).
@@ -31,6 +33,7 @@ class StepResult(NamedTuple):
     """
 
     rate: NDArray[np.float64]
+    credit: NDArray[np.float64]
     local_reward: NDArray[np.float64]
     global_reward: NDArray[np.float64]
     drove: NDArray[np.bool_]
@@ -43,12 +46,12 @@ class StepResult(NamedTuple):
 class _ObservationTable(NamedTuple):
     """Observations that depend on a robot and its cell alone."""
 
-    local: NDArray[np.float32]  # s_L, (cells, K, local_size)
-    by_all: NDArray[np.float32]  # its part of s_G while driving, (cells, K, global_size / K)
+    local: NDArray[np.float32]  # s_L without what the AP tells, (cells, K, ...)
+    by_ap: NDArray[np.float32]  # what the AP sees of it while driving, (cells, K, ...)
 
 
 MAX_SEEN = 2**20
-"""Most cells times robots for which observations are tabulated: 54 MB."""
+"""Most cells times robots for which observations are tabulated: 54 MB, 75 MB with ways."""
 
 
 class World:
@@ -80,6 +83,7 @@ class World:
         self.next_cell, self.slots_to_go = scenario.next_cell, scenario.slots_to_go
         self.downlink = Downlink(self.config)
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
+        self._weighs = self._rewards.weighs_credit or self._rewards.weighs_rates
         self._starts, self._fixed_starts = scenario.start_cells, scenario.fixed_starts
         self._robot = np.arange(len(self.destinations))
         self._seen = self._tabulate()
@@ -97,9 +101,9 @@ class World:
             return None
         cell = np.broadcast_to(np.arange(cells)[:, None], (cells, robots))
         tables, everywhere = self.radio_map, np.ones((cells, robots), dtype=bool)
-        local = self.observer.local(cell, tables.direct_db[cell], self.destinations)
-        by_all = self.observer.global_observation(local, tables.direct[cell], everywhere)
-        return _ObservationTable(local, by_all.reshape(cells, robots, -1))
+        local = self.scenario.local_states(cell, tables.direct_db[cell])
+        seen = self.observer.seen_robots(local, tables.direct[cell], everywhere)
+        return _ObservationTable(local, seen)
 
     @property
     def robots(self) -> int:
@@ -130,8 +134,18 @@ class World:
         return self.slots_to_go[self.cell, self._robot]
 
     @property
+    def travel_slots(self) -> NDArray[np.int64]:
+        """T_k: slots so far and the fewest that are left, at least 1, shape (B, K)."""
+        return np.maximum(self.slot[:, None] + self.shortest_slots, 1)
+
+    @property
     def rate_weights(self) -> NDArray[np.float64]:
-        """What each robot counts for where powers are searched, shape (B, K): all the same."""
+        """What each robot's rate counts for in the access point's reward, shape (B, K).
+
+        1, or w_k with ``reward.weights=objective``.
+        """
+        if self._rewards.weighs_rates:
+            return self._rewards.weights(self.travel_slots)
         return np.ones(self.cell.shape)
 
     def channel(self, phase_action: NDArray[np.int64]) -> NDArray[np.complex128]:
@@ -226,20 +240,42 @@ class World:
 
     def local_observations(self) -> NDArray[np.float32]:
         """s_L of every robot, float32, shape (B, K, local_size)."""
+        alone = self._known_alone()
+        if not self.observer.broadcast_size:
+            return alone
+        told = self.observer.broadcast(alone, self.travel_slots, self.driving)
+        return np.concatenate([alone, told], axis=-1)
+
+    def broadcast(self) -> NDArray[np.float32]:
+        """What the AP tells each robot, the end of s_L, float32, shape (B, K, broadcast_size)."""
+        return self.observer.broadcast(self._known_alone(), self.travel_slots, self.driving)
+
+    def _known_alone(self) -> NDArray[np.float32]:
+        """What each robot knows by itself of s_L."""
         if self._seen is not None:
             return self._seen.local[self.cell, self._robot]
-        return self.observer.local(self.cell, self.measured_db, self.destinations)
+        return self.scenario.local_states(self.cell, self.measured_db)
 
     def global_observation(self, local: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """s_G, float32, shape (B, global_size); ``local`` saves computing s_L again."""
-        if self._seen is not None:
-            seen = self._seen.by_all[self.cell, self._robot]
-            if np.count_nonzero(self.driving) < self.driving.size:
-                seen *= self.driving[..., None]
+        seen = self._seen_robots(local)
+        if not self.observer.arranges:
             return seen.reshape(len(self.cell), -1)
-        if local is None:
-            local = self.local_observations()
-        return self.observer.global_observation(local, self.direct, self.driving)
+        weights = None
+        if self.observer.has_weights:
+            weights = self._rewards.weights(self.travel_slots)
+        return self.observer.global_observation(seen, self.direct, self.driving, weights)
+
+    def _seen_robots(self, local: NDArray[np.float32] | None) -> NDArray[np.float32]:
+        """What the AP sees of each robot by itself, zeros where it is not driving."""
+        if self._seen is None:
+            if local is None:
+                local = self._known_alone()
+            return self.observer.seen_robots(local, self.direct, self.driving)
+        seen = self._seen.by_ap[self.cell, self._robot]
+        if np.count_nonzero(self.driving) < self.driving.size:
+            seen *= self.driving[..., None]
+        return seen
 
     def step(
         self,
@@ -262,6 +298,8 @@ class World:
         direct = None if self._fading is None else self.direct
         gain = self.radio_map.gain(self.cell, phase_action, direct)
         allocation = self.downlink.allocate(gain, level, drove)
+        weights = self._rewards.weights(self.travel_slots) if self._weighs else None
+        credit = self._credit(gain, allocation, drove, weights)
         before_m = self._distance_m[self.cell, self._robot]
         moved = self.next_cell[self.cell, direction]
         if self.config.collisions == "block":
@@ -274,14 +312,29 @@ class World:
         self._draw_fading()
         terminated = np.asarray(~self.driving.any(axis=-1))
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
-        local = self._rewards.of_robots(allocation.rate, before_m, after_m, arrived)
+        local = self._rewards.of_robots(credit, before_m, after_m, arrived)
+        shared = self._rewards.of_access_point(allocation.rate, drove, weights)
         return StepResult(
             rate=allocation.rate,
+            credit=credit,
             local_reward=only(drove, local),
-            global_reward=only(running, self._rewards.of_access_point(allocation.rate, drove)),
+            global_reward=only(running, shared),
             drove=drove,
             arrived=arrived,
             terminated=terminated,
             truncated=truncated,
             allocation=allocation,
         )
+
+    def _credit(
+        self,
+        gain: NDArray[np.float64],
+        sent: Allocation,
+        drove: NDArray[np.bool_],
+        weights: NDArray[np.float64] | None,
+    ) -> NDArray[np.float64]:
+        """What robots are credited with for what was sent over these channels, shape (B, K)."""
+        if weights is None or not self._rewards.weighs_credit:
+            return sent.rate
+        without = self.downlink.rates_without(gain, sent) if self._rewards.weighs_absence else None
+        return self._rewards.credit(sent.rate, drove, weights, without)

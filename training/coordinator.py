@@ -56,7 +56,7 @@ class Coordinator:
         stop: Callable[[], bool] = lambda: False,
         keep: Callable[[bool], None] = lambda final: None,
     ) -> None:
-        self._config, self._record = config, step_layout(config).record
+        self._config, self._layout = config, step_layout(config)
         self._actions = robot_actions(config)
         self._world, self._ap, self._fleet = world, ap, fleet
         self._aggregator = aggregator
@@ -157,12 +157,12 @@ class Coordinator:
         chosen = self._fleet.actions(self.progress.tick).astype(np.int64)
         self.waited_s += time.perf_counter() - began
         most, worlds = self._actions.count - 1, len(self._world.cell)
-        for row, action in enumerate(chosen.tolist()):
-            if not -1 <= action <= most:
-                robot = row // worlds
-                raise ValueError(
-                    f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
-                )
+        wrong = np.flatnonzero((chosen < -1) | (chosen > most))
+        if len(wrong):
+            robot, action = wrong[0] // worlds, chosen[wrong[0]]
+            raise ValueError(
+                f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
+            )
         return self._actions.decode(chosen.reshape(-1, worlds).T)
 
     def _pass_on(
@@ -218,13 +218,17 @@ class Coordinator:
         Robot-major, as ``lockstep.Layout`` says: shape (K E,).
         """
         world = self._world
-        updates = np.zeros(world.cell.size, dtype=self._record)
+        updates = np.zeros(world.cell.size, dtype=self._layout.record)
         if outcome is not None:
             updates["flags"] = _by_robot(outcome.drove) * OUTCOME
             updates["flags"] |= _by_robot(outcome.arrived) * ARRIVED
             updates["outcome_cell"] = _by_robot(world.cell)
             updates["outcome_channel_db"] = _by_robot(world.measured_db)
             updates["rate"] = _by_robot(outcome.rate)
+            if self._layout.credit:
+                updates["credit"] = _by_robot(outcome.credit)
+            if self._layout.broadcast:
+                updates["outcome_broadcast"] = _by_robot(world.broadcast())
         return updates
 
     def _observe_into(self, updates: np.ndarray) -> None:
@@ -233,6 +237,8 @@ class Coordinator:
         updates["flags"] |= _by_robot(world.driving) * DRIVING
         updates["cell"] = _by_robot(world.cell)
         updates["channel_db"] = _by_robot(world.measured_db)
+        if self._layout.broadcast:
+            updates["broadcast"] = _by_robot(world.broadcast())
 
 
 def _by_robot(values: NDArray[Any]) -> NDArray[Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from conf import Config
+from env.mdp.observation import ObservationEncoder
+from env.mdp.reward import RewardFunction
 from lockstep.messages import Layout
 
 Block = tuple[int, ...]
@@ -13,7 +15,8 @@ Block = tuple[int, ...]
 
 def step_layout(config: Config) -> Layout:
     """What a run's steps carry."""
-    return Layout(config.train.worlds)
+    told = ObservationEncoder(config.env).broadcast_size
+    return Layout(config.train.worlds, told, RewardFunction(config.env).weighs_credit)
 
 
 def partition_robots(robots: int, clients: int) -> list[Block]:

@@ -67,6 +67,13 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | 2   | (\|hbar\|^2 in dB + 70) / 20, direct channel   | -10 | 10  |
     | 3-4 | way left in x and y over the room's side       | -1  | 1   |
 
+    With solid walls or ``state.way=on`` five more: for each direction the slots that the move
+    saves (-1, 0 or 1), and the slots left over half of the floor's rows and columns (0 to 10).
+    With ``state.others=m`` seven (or five) more for each of m other robots, those that will have
+    driven the fewest slots first, zeros for one that has arrived: 1, how many slots more that is
+    over ``reward.horizon_slots`` (-2 to 2), its 0-4; then the horizon over the robot's own slots
+    (0 to 4).
+
     The access point's, shape (8 K,) or (6 K,): for each robot in turn, zeros once it has arrived,
 
     | Num | Observation                                    | Min | Max |
@@ -74,14 +81,18 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | 0-2 | the robot's 0-2                                |     |     |
     | 3-4 | cos and sin of arg hbar                        | -1  | 1   |
     | 5   | 1 while driving                                | 0   | 1   |
-    | 6-7 | the robot's 3-4                                | -1  | 1   |
+    | 6-7 | the robot's 3-4, the offset                    | -1  | 1   |
+
+    With ``state.weights`` one more for each: its share of the weights of all that drive (0 to 1).
+    With ``state.order=gain`` robots stand from the strongest direct channel to the weakest.
 
     ## Rewards
 
     Not scaled. A robot: phi R + psi (distance gone towards the destination, in m) - 1, and + 100
-    where it arrives, with phi = 0.05 and psi = 3; the distance is straight, with
-    ``reward.distance=way`` the shortest over the floor. The access point: 0.1 times the sum of
-    rates. With ``metric=qoe`` the quality lg(R) of those that drive stands for R in both.
+    where it arrives, with phi = 0.05 and psi = 3; the distance is straight, where walls are solid
+    (or with ``reward.distance=way``) the shortest over the floor. The access point: 0.1 times the
+    sum of rates. With ``metric=qoe`` the quality lg(R) of those that drive stands for R in both;
+    ``reward.credit`` and ``reward.weights`` weigh the rates as the paper's objective does.
 
     ## Starting State
 

@@ -60,11 +60,14 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     | 3   | way left in x over the room's width  | -1  | 1   |
     | 4   | way left in y over the room's depth  | -1  | 1   |
 
+    What ``state.way`` adds, also by default where walls are solid, and ``state.others`` is that of
+    ``RISFleetParallelEnv``.
+
     ## Rewards
 
     phi R + psi (distance gone towards the destination, in m) - 1, and + 100 on arrival, with
     phi = 0.05 and psi = 3. R is the robot's rate in bit/s/Hz, or the quality lg(R) with
-    ``metric=qoe``. Not scaled.
+    ``metric=qoe``, weighed as ``reward.credit`` says. Not scaled.
 
     ## Starting State
 
@@ -95,7 +98,7 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     | Argument      | Default      | Description                                                  |
     |---------------|--------------|--------------------------------------------------------------|
     | `config`      | `None`       | an `EnvConfig`, or its fields nested: `{"ris": {"side": 0}}` |
-    | `others`      | `"shortest"` | `"none"`: the robot is alone, whatever K is                  |
+    | `others`      | `"shortest"` | `"none"`: the robot is alone, whatever K and its state are   |
     | `seed`        | `0`          | names drawn destinations alone; starts follow `reset(seed)`  |
     | `render_mode` | `None`       | `"rgb_array"`: a picture of the floor; `"ansi"`: text        |
 
@@ -121,7 +124,7 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             raise ValueError(f"others={others!r}: allowed is {' or '.join(OTHERS)}")
         config = checked_config(config)
         if others == "none":
-            config = replace(config, robots=1)
+            config = replace(config, robots=1, state=replace(config.state, others=0))
         self._fleet = RISFleetParallelEnv(config, seed=seed, render_mode=render_mode)
         self.config = config
         self.render_mode = render_mode

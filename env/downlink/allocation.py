@@ -93,6 +93,32 @@ class Downlink:
             margin_dropped=sent.margin_dropped,
         )
 
+    def rates_without(self, gain: NDArray[np.float64], sent: Allocation) -> NDArray[np.float64]:
+        """NOMA rates of a slot with the same powers but without the signal of one robot.
+
+        Stronger robots than that one have cancelled its signal anyway; weaker ones lose its
+        interference. True where all signals are cancelled, so with ``power.resolve=project``.
+
+        Args:
+            gain: |h_k|^2, shape (B, K).
+            sent: what was sent over these channels.
+
+        Returns:
+            R_j without robot k's signal in bit/s/Hz, shape (B, K, K) with k before j; 0 at k
+            itself.
+        """
+        order, robots = sent.order, gain.shape[-1]
+        ranked, power_w = (
+            np.take_along_axis(each, order, axis=-1)[:, None] for each in (gain, sent.power_w)
+        )
+        power_w = np.where(np.eye(robots, dtype=bool), 0.0, power_w)
+        rate = np.empty_like(power_w)
+        row = np.arange(len(gain))[:, None, None]
+        rate[row, order[:, :, None], order[:, None, :]] = access.downlink_rates(
+            ranked, power_w, self.noise_w
+        )
+        return rate
+
     def _allocate_parts(self, gain: NDArray[np.float64], served: NDArray[np.bool_]) -> Allocation:
         """Baseline 2: equal parts of band and power, p_k = P_max / n, for each robot served."""
         rows, robots = gain.shape

@@ -29,11 +29,12 @@ def distances_m(floor: Floor, destinations: NDArray[np.int64], along: str) -> ND
         floor: the floor.
         destinations: cells, shape (n,).
         along: ``env.reward.distance``: ``straight`` is the paper's Euclidean distance; ``way`` the
-            shortest length over the floor, which does not lead into dead ends behind solid walls.
+            shortest length over the floor, which does not lead into dead ends behind solid walls;
+            ``auto`` the way where walls are solid, the straight distance elsewhere.
 
     Returns:
         Distances in m, shape (cells, n).
     """
-    if along == "way":
+    if along == "way" or (along == "auto" and floor.solid):
         return np.asarray(floor.slots_to(destinations) * floor.cell_m)
     return straight_m(floor, destinations)

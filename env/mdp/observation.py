@@ -6,12 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env.config import EnvConfig
+from env.downlink.access import decoding_order
 from env.geometry.floor import Floor
+from env.mdp.reward import shares
 
 CHANNEL_MIDDLE_DB = 70.0
 CHANNEL_SPREAD_DB = 20.0
 CHANNEL = 2
 """Where the channel stands in a robot's own state."""
+WAY_SIZE = 5
+WAY_BOUND = 10.0
+"""Most that is seen of the way left; so much is seen where there is none."""
+
+LEAD_BOUND = 2.0
+"""Most that is seen of how many slots more or fewer another robot will have driven."""
+PACE_BOUND = 4.0
+"""Most that is seen of a short way: the horizon over the slots of a robot."""
+LAST = np.iinfo(np.int64).max
 
 
 def scaled_channel(channel_db: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -23,12 +34,24 @@ class ObservationEncoder:
     """Builds observations from cells and measured channels; knows the room, not the robots.
 
     A robot's own state is q / 15 - 1, (hbar_dB + 70) / 20 and, with
-    ``state.destination=offset``, (q_D - q) / 30, in a room of 30 m. The AP's holds for each robot
-    q / 15 - 1, (hbar_dB + 70) / 20, cos and sin of arg hbar, 1 while driving, and the offset
-    likewise; zeros for a robot that is not driving. Eqs. (6) and (9).
+    ``state.destination=offset``, (q_D - q) / 30, in a room of 30 m. With ``state.way`` its way
+    over the floor follows, see ``way``, and with ``state.others`` what the AP tells it of other
+    robots, see ``broadcast``. The AP's holds for each robot q / 15 - 1,
+    (hbar_dB + 70) / 20, cos and sin of arg hbar, 1 while driving, and the offset likewise; zeros
+    for a robot that is not driving. With ``state.weights`` each robot's share of the weight of all
+    that drive comes last, with ``state.order=gain`` robots stand by their channels. Eqs. (6), (9).
 
     Args:
         config: the environment.
+
+    Attributes:
+        own_size: how many numbers of s_L the AP sees too: position, channel, offset.
+        has_way: whether s_L has the way.
+        broadcast_size: how many numbers of s_L the AP tells a robot.
+        has_weights: whether s_G has weights.
+        arranges: whether s_G is more than what is seen of each robot by itself, in turn.
+        local_size: of s_L.
+        global_size: of s_G.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -36,56 +59,158 @@ class ObservationEncoder:
         self._centres = floor.centres()
         self._size_m = floor.size_m
         self._offset = config.state.destination == "offset"
-        self.local_size = 5 if self._offset else 3
-        self.global_size = config.robots * (8 if self._offset else 6)
+        self._way_scale = 2.0 / (floor.rows + floor.columns)
+        self.own_size = 5 if self._offset else 3
+        self.has_way = _has_way(config)
+        self._others, self._horizon_slots = config.state.others, config.reward.horizon_slots
+        self.broadcast_size = self._others * (2 + self.own_size) + (self._others > 0)
+        self._alone_size = self.own_size + WAY_SIZE * self.has_way
+        self.local_size = self._alone_size + self.broadcast_size
+        self.has_weights, self._by_gain = config.state.weights, config.state.order == "gain"
+        self.arranges = self.has_weights or self._by_gain
+        self.global_size = config.robots * (self.own_size + 3 + self.has_weights)
 
     def local(
         self,
         cell: NDArray[np.int64],
         channel_db: NDArray[np.float32],
         destination: NDArray[np.int64],
+        way: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """The robots' states s_L, Eq. (9).
+        """The robots' states s_L as they know them by themselves, Eq. (9).
 
         Args:
             cell: where each robot is, shape (..., K).
             channel_db: |hbar_k|^2 in dB, shape (..., K).
             destination: where each is going, a cell, shape (K,).
+            way: with ``has_way`` the way of each, shape (..., K, WAY_SIZE).
 
         Returns:
-            States, float32, shape (..., K, local_size).
+            States, float32, shape (..., K, local_size - broadcast_size).
         """
         position = self._centres[cell]
-        state = np.empty((*cell.shape, self.local_size), dtype=np.float32)
+        state = np.empty((*cell.shape, self._alone_size), dtype=np.float32)
         state[..., 0:2] = position / (self._size_m / 2.0) - 1.0
         state[..., CHANNEL] = scaled_channel(channel_db)
         if self._offset:
             state[..., 3:5] = (self._centres[destination] - position) / self._size_m
+        if way is not None:
+            state[..., self.own_size :] = way
         return state
 
-    def global_observation(
+    def way(
+        self, slots_to_go: NDArray[np.int64], slots_then: NDArray[np.int64]
+    ) -> NDArray[np.float32]:
+        """What a robot knows of its way from its plan of the floor.
+
+        Args:
+            slots_to_go: fewest slots from where each robot is, shape (..., K).
+            slots_then: the same after each of the four moves, shape (..., K, 4).
+
+        Returns:
+            For each move the slots that it saves, 1, 0 or -1, and the slots left over half of the
+            floor's rows and columns, at most ``WAY_BOUND``, float32, shape (..., K, WAY_SIZE).
+        """
+        way = np.empty((*slots_to_go.shape, WAY_SIZE), dtype=np.float32)
+        way[..., :4] = slots_to_go[..., None] - slots_then
+        way[..., 4] = np.minimum(slots_to_go * self._way_scale, WAY_BOUND)
+        return way
+
+    def broadcast(
+        self,
+        local: NDArray[np.float32],
+        travel_slots: NDArray[np.int64],
+        driving: NDArray[np.bool_],
+    ) -> NDArray[np.float32]:
+        """What the AP tells each robot k of the others and of itself, the end of s_L.
+
+        Of as many others j as ``state.others`` says, the driving ones with the fewest slots T_j
+        first, by index where equal: 1 while driving, (T_j - T_k) / T_h, and j's own position,
+        channel and offset; zeros for one that is not driving. Last, T_h / T_k.
+
+        Args:
+            local: the robots' states, shape (B, K, own_size or more).
+            travel_slots: T_k, shape (B, K).
+            driving: which robots are driving, shape (B, K).
+
+        Returns:
+            What is told, float32, shape (B, K, broadcast_size).
+        """
+        (rows, robots), size = driving.shape, 2 + self.own_size
+        told = np.zeros((rows, robots, self.broadcast_size), dtype=np.float32)
+        if not self._others:
+            return told
+        # All robots by T_j; each row leaves one of them out, the robot that is told.
+        order = np.where(driving, travel_slots, LAST).argsort(axis=-1, kind="stable")
+        every = np.broadcast_to(order[:, None, :], (rows, robots, robots))
+        kept = every != np.arange(robots)[:, None]
+        other = every[kept].reshape(rows, robots, robots - 1)[..., : self._others]
+        row = np.arange(rows)[:, None, None]
+        seen = np.empty((*other.shape, size), dtype=np.float32)
+        seen[..., 0] = 1.0
+        lead = (travel_slots[row, other] - travel_slots[..., None]) / self._horizon_slots
+        seen[..., 1] = np.clip(lead, -LEAD_BOUND, LEAD_BOUND)
+        seen[..., 2:] = local[row, other, : self.own_size]
+        seen = np.where(driving[row, other][..., None], seen, np.float32(0.0))
+        told[..., :-1] = seen.reshape(rows, robots, -1)
+        told[..., -1] = np.minimum(self._horizon_slots / travel_slots, PACE_BOUND)
+        return told
+
+    def seen_robots(
         self,
         local: NDArray[np.float32],
         channel: NDArray[np.complex128],
         driving: NDArray[np.bool_],
     ) -> NDArray[np.float32]:
-        """The AP's state s_G, Eq. (6).
+        """What the AP sees of each robot by itself.
 
         Args:
-            local: the robots' states, shape (..., K, local_size).
+            local: the robots' states, shape (..., K, own_size or more).
             channel: hbar_k, shape (..., K).
             driving: which robots are driving, shape (..., K).
 
         Returns:
+            Zeros where a robot is not driving, float32, shape (..., K, own_size + 3).
+        """
+        seen = np.empty((*driving.shape, self.own_size + 3), dtype=np.float32)
+        seen[..., 0:3] = local[..., 0:3]
+        unit = channel / np.abs(channel)
+        seen[..., 3] = unit.real
+        seen[..., 4] = unit.imag
+        seen[..., 5] = 1.0
+        seen[..., 6:] = local[..., 3 : self.own_size]
+        seen *= driving[..., None]
+        return seen
+
+    def global_observation(
+        self,
+        seen: NDArray[np.float32],
+        channel: NDArray[np.complex128],
+        driving: NDArray[np.bool_],
+        weights: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float32]:
+        """The AP's state s_G, Eq. (6).
+
+        Args:
+            seen: of each robot, ``seen_robots``.
+            channel: hbar_k, shape (..., K).
+            driving: which robots are driving, shape (..., K).
+            weights: with ``has_weights`` w_k, shape (..., K).
+
+        Returns:
             State, float32, shape (..., global_size).
         """
-        robots = driving.shape[-1]
-        state = np.empty((*driving.shape, self.global_size // robots), dtype=np.float32)
-        state[..., 0:3] = local[..., 0:3]
-        unit = channel / np.abs(channel)
-        state[..., 3] = unit.real
-        state[..., 4] = unit.imag
-        state[..., 5] = 1.0
-        state[..., 6:] = local[..., 3:]
-        state *= driving[..., None]
-        return state.reshape(*driving.shape[:-1], self.global_size)
+        if weights is not None:
+            share = shares(weights, driving).astype(np.float32)
+            seen = np.concatenate([seen, share[..., None]], axis=-1)
+        if self._by_gain:
+            order = decoding_order(channel.real**2 + channel.imag**2, driving)
+            seen = np.take_along_axis(seen, order[..., None], axis=-2)
+        return seen.reshape(*driving.shape[:-1], self.global_size)
+
+
+def _has_way(config: EnvConfig) -> bool:
+    """Whether robots see their way: as ``state.way`` says, or where walls stop them."""
+    if config.state.way == "auto":
+        return config.walls.block_motion
+    return config.state.way == "on"

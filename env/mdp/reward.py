@@ -35,27 +35,51 @@ def local_reward(
     arrived: NDArray[np.bool_],
     weights: RewardConfig,
 ) -> NDArray[np.float64]:
-    """A robot's reward: phi R_k + psi (d^{t-1} - d^t) + R_time + R_goal, Eq. (11).
+    """A robot's reward: phi R_k + psi (d^{t-1} - kappa d^t) + R_time + R_goal, Eq. (11).
+
+    The paper has kappa = 1. With the robots' discount as kappa the guidance is a potential's, which
+    changes no best policy (Ng, Harada and Russell, ICML 1999).
 
     Args:
-        rate: R_k in bit/s/Hz in the slot, or eta_k, any shape.
+        rate: R_k in bit/s/Hz in the slot, or eta_k, any shape; with ``reward.credit`` other than
+            ``rate`` what the robot is credited with.
         before_m: distance to the destination before the move, in m.
         after_m: distance after it, in m.
         arrived: whether this move reached the destination.
-        weights: phi, psi, R_time and R_goal.
+        weights: phi, psi, kappa, R_time and R_goal.
 
     Returns:
         The reward, of the broadcast shape.
     """
+    if weights.guidance_discount != 1.0:
+        after_m = weights.guidance_discount * after_m
     guidance = weights.guidance * (before_m - after_m)
     return weights.rate * rate + guidance + weights.time + np.where(arrived, weights.goal, 0.0)
+
+
+def rate_weights(travel_slots: NDArray[np.int64], horizon_slots: float) -> NDArray[np.float64]:
+    """w_k = (horizon / T_k)^2, a robot's 1 / (T_k E_k) of (5a) over that at the horizon.
+
+    Args:
+        travel_slots: T_k, the slots that a robot will have driven in all, at least 1, any shape.
+        horizon_slots: T_k of a robot with the weight 1.
+
+    Returns:
+        The weights, same shape.
+    """
+    return np.asarray(np.square(horizon_slots / travel_slots))
 
 
 class RewardFunction:
     """The rewards of an environment, the same on the world's side and on the robots'.
 
     Args:
-        config: the environment; ``reward``, ``metric`` and ``qoe`` are read.
+        config: the environment; ``reward``, ``metric``, ``access`` and ``qoe`` are read.
+
+    Attributes:
+        weighs_credit: whether a robot is credited with more than its own rate.
+        weighs_rates: whether the access point's reward weighs rates.
+        weighs_absence: whether the credit needs the rates without each robot's signal.
 
     Raises:
         ValueError: ``env.reward.model`` names none.
@@ -64,23 +88,76 @@ class RewardFunction:
     def __init__(self, config: EnvConfig) -> None:
         self._config = config
         self._local = plugins.own_reward(config) or local_reward
+        credit = config.reward.credit
+        self.weighs_credit = credit != "rate"
+        self.weighs_rates = config.reward.weights == "objective"
+        # Under OMA no signal disturbs another.
+        self.weighs_absence = credit == "difference" and config.access == "noma"
+
+    def weights(self, travel_slots: NDArray[np.int64]) -> NDArray[np.float64]:
+        """w_k of T_k, same shape; see ``rate_weights``."""
+        return rate_weights(travel_slots, self._config.reward.horizon_slots)
+
+    def credit(
+        self,
+        rate: NDArray[np.float64],
+        drove: NDArray[np.bool_],
+        weights: NDArray[np.float64],
+        without: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """What robots are credited with in the place of R_k, with ``weighs_credit``.
+
+        Args:
+            rate: R_k in bit/s/Hz, shape (..., K).
+            drove: which robots were driving in the slot, shape (..., K).
+            weights: w_k before the move, shape (..., K).
+            without: with ``weighs_absence``, R_j in the same slot without the signal of robot k,
+                shape (..., K, K) with k before j.
+
+        Returns:
+            With ``objective`` w_k R_k, with ``team`` the sum of it over the robots that drove,
+            with ``difference`` that sum less what it is without robot k's signal; 0 where a robot
+            was not driving, shape (..., K).
+        """
+        counted = metric(rate, self._config)
+        own = np.where(drove, weights * counted, 0.0)
+        if self._config.reward.credit == "team":
+            return np.where(drove, own.sum(axis=-1, keepdims=True), 0.0)
+        if without is None:
+            return own
+        # What the others lose; robot k's own rate is all its own.
+        lost = metric(without, self._config) - counted[..., None, :]
+        others = drove[..., None, :] & ~np.eye(drove.shape[-1], dtype=bool)
+        harm = np.where(others, weights[..., None, :] * lost, 0.0).sum(axis=-1)
+        return np.where(drove, own - harm, 0.0)
 
     def of_robots(
         self,
-        rate: NDArray[np.float64],
+        credit: NDArray[np.float64],
         before_m: NDArray[np.float64],
         after_m: NDArray[np.float64],
         arrived: NDArray[np.bool_],
     ) -> NDArray[np.float64]:
-        """r_L: ``local_reward``, or the user's own; arguments as there, ``rate`` as R_k."""
-        counted = metric(rate, self._config)
+        """r_L: ``local_reward``, or the user's own; arguments as there.
+
+        ``credit`` is R_k with ``reward.credit=rate``, what ``credit`` gave otherwise.
+        """
+        counted = credit if self.weighs_credit else metric(credit, self._config)
         return self._local(counted, before_m, after_m, arrived, self._config.reward)
 
     def of_access_point(
-        self, rate: NDArray[np.float64], drove: NDArray[np.bool_]
+        self,
+        rate: NDArray[np.float64],
+        drove: NDArray[np.bool_],
+        weights: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
-        """r_G of the robots that drove, ``global_reward``; both of shape (..., K)."""
+        """r_G of the robots that drove, ``global_reward``; arguments of shape (..., K).
+
+        With ``weighs_rates`` the n rates count for n w_k / sum_j w_j each.
+        """
         counted = only(drove, metric(rate, self._config))
+        if weights is not None and self.weighs_rates:
+            counted = counted * (shares(weights, drove) * drove.sum(axis=-1, keepdims=True))
         return global_reward(counted.sum(axis=-1), self._config.reward)
 
 
@@ -89,11 +166,18 @@ def only(who: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.floa
     return values if np.count_nonzero(who) == who.size else np.where(who, values, 0.0)
 
 
+def shares(weights: NDArray[np.float64], driving: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Each robot's part of the weight of all that drive, 0 where it does not; shape (..., K)."""
+    counted = np.where(driving, weights, 0.0)
+    total = counted.sum(axis=-1, keepdims=True)
+    return np.asarray(counted / np.where(total > 0.0, total, 1.0))
+
+
 def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArray[np.float64]:
     """The access point's reward: tau_1 sum_k R_k (plus an offset, 0 by default), Eq. (8).
 
     Args:
-        sum_rate: sum_k R_k in bit/s/Hz, or of eta_k, any shape.
+        sum_rate: sum_k R_k in bit/s/Hz, or of eta_k, weighted or not, any shape.
         weights: tau_1 and the offset.
 
     Returns:

@@ -57,7 +57,11 @@ CHOICES = {
     "channel.los_phase": "zero or distance",
     "power.resolve": "one of project, residual, zero",
     "state.destination": "offset or none",
-    "reward.distance": "straight or way",
+    "state.way": "one of auto, on, off",
+    "state.order": "index or gain",
+    "reward.distance": "one of auto, straight, way",
+    "reward.credit": "one of rate, objective, team, difference",
+    "reward.weights": "equal or objective",
 }
 
 
@@ -85,6 +89,8 @@ def test_a_number_that_is_not_finite_is_refused(key, value):
         ("env.channel.frequency_ghz", 0.0, "a number above 0"),
         ("env.noise.bandwidth_hz", 0.0, "a number above 0"),
         ("env.map_seed", -1, "a number of at least 0"),
+        ("env.state.others", -1, "a number of at least 0"),
+        ("env.state.others", 3, "at most 2, the other robots with env.robots=3"),
         ("env.motion.energy_per_m_j", -1.0, "a number of at least 0"),
         ("env.motion.antenna_height_m", -1.0, "a number of at least 0"),
         ("env.tasks.destination_spacing_m", -1.0, "a number of at least 0"),
@@ -92,6 +98,9 @@ def test_a_number_that_is_not_finite_is_refused(key, value):
         ("env.power.sic_margin", -1.0, "a number of at least 0"),
         ("env.qoe.scale", 0.0, "a number above 0"),
         ("env.qoe.floor", 0.0, "a number above 0"),
+        ("env.reward.guidance_discount", 0.0, "a number above 0 and at most 1"),
+        ("env.reward.guidance_discount", 1.01, "a number above 0 and at most 1"),
+        ("env.reward.horizon_slots", 0.0, "a number above 0 and at most 1000000"),
         ("env.robots", 0, "a number from 1 to 64"),
         ("env.robots", 65, "a number from 1 to 64"),
         ("env.ris.side", -1, "a number from 0 to 256"),
@@ -174,6 +183,15 @@ def test_projecting_needs_a_level_for_each_robot_and_the_other_rules_do_not():
 
 def test_orthogonal_access_needs_no_level_for_each_robot():
     assert problems(configured(robots=4, power__levels=3, access="oma")) == []
+
+
+@pytest.mark.parametrize("resolve", ["residual", "zero"])
+def test_the_difference_that_a_signal_makes_is_known_where_all_signals_are_cancelled(resolve):
+    changes = {"reward__credit": "difference", "power__resolve": resolve}
+    [(key, value, allowed)] = problems(configured(**changes))
+    assert (key, value) == ("env.reward.credit", "difference")
+    assert allowed.startswith(f"one of rate, objective, team with env.power.resolve={resolve}")
+    assert problems(configured(**changes, access="oma")) == []
 
 
 FOUR_STARTS = [[1.0, 1.0], [2.0, 1.0], [3.0, 1.0], [4.25, 10.25]]

@@ -37,7 +37,12 @@ GRID: dict[str, dict[str, Any]] = {
     "random_tasks": {"tasks": {"destination": "random"}},
     "common_task": {"tasks": {"destination": "common"}},
     "codebook": {"ris": {"response": "near", "side": 4, "action": "codebook", "sectors": [2, 2]}},
-    "corridor": {"plan": "corridor", "reward": {"distance": "way"}},
+    "corridor": {"plan": "corridor"},
+    "all_that_serves_the_objective": {
+        "robots": 4,
+        "state": {"way": "on", "others": 3, "weights": True, "order": "gain"},
+        "reward": {"credit": "difference", "weights": "objective", "guidance_discount": 0.8},
+    },
     "hall_without_collisions": {"plan": "hall", "robots": 4, "collisions": "block"},
     "as_many_robots_as_there_may_be": {
         "robots": 64,

@@ -37,6 +37,9 @@ VARIANTS = {
     "subsurfaces": EnvConfig(robots=2, ris=RisConfig(side=12, subsurfaces=3)),
     "faint": EnvConfig(robots=4, ris=RisConfig(side=0), power=PowerConfig(max_dbm=0.0)),
     "literal": EnvConfig(robots=3, state=StateConfig(destination="none")),
+    "weights": EnvConfig(robots=4, state=StateConfig(weights=True, order="gain")),
+    "way": EnvConfig(robots=3, state=StateConfig(way="on")),
+    "literal_way": EnvConfig(robots=3, state=StateConfig(destination="none", way="on")),
     "many": EnvConfig(robots=6, power=PowerConfig(levels=8)),
     "oma": EnvConfig(robots=4, access="oma"),
     "reallocate": EnvConfig(robots=4, access="oma", oma=OmaConfig(share="reallocate")),
@@ -458,6 +461,55 @@ def test_the_access_point_sees_zeros_for_a_robot_that_has_arrived():
     assert found[1].tolist() == [0.0] * 8
 
 
+def test_the_access_point_sees_weights_by_hand():
+    world = tiny_world((3, 1, 30), (5, 0, 32), state=StateConfig(weights=True))
+    plain = tiny_world((3, 1, 30), (5, 0, 32))
+    step(world, (NORTH, 2), (WEST, 3), (EAST, 1))
+    step(plain, (NORTH, 2), (WEST, 3), (EAST, 1))
+    # After a slot robot 0 has three left, robot 2 one; robot 1 has arrived: (1/4)^2 to (1/2)^2.
+    found = world.global_observation().reshape(3, 9)
+    assert found[:, 8].tolist() == pytest.approx([0.2, 0.0, 0.8])
+    assert found[:, :8].tobytes() == plain.global_observation().tobytes()
+    assert world.observer.global_size == 27
+
+
+def test_the_access_point_sees_robots_by_their_channels():
+    starts, destinations = (1, 33, 3, 32), (0, 0, 5, 5)
+    world = tiny_world(starts, destinations, state=StateConfig(order="gain", weights=True))
+    index = tiny_world(starts, destinations, state=StateConfig(weights=True))
+    gains = [gain_at(*world.floor.centres()[cell]) for cell in starts]
+    # Cells 33 and 32 lie beside the AP on both sides: equals stand by index.
+    order = [1, 3, 2, 0]
+    assert gains[1] == pytest.approx(gains[3])
+    world.radio_map.direct[32] = index.radio_map.direct[32] = world.radio_map.direct[33]
+    expected = index.global_observation().reshape(4, 9)[order]
+    assert world.global_observation().reshape(4, 9).tobytes() == expected.tobytes()
+    world.driving[0, 1] = index.driving[0, 1] = False
+    expected = index.global_observation().reshape(4, 9)[[3, 2, 0, 1]]
+    assert world.global_observation().reshape(4, 9).tobytes() == expected.tobytes()
+    assert not expected[3].any()
+
+
+@given(st.integers(0, 1000), st.integers(1, 6))
+@settings(max_examples=15, deadline=None)
+def test_in_any_order_the_access_point_sees_the_same_robots(seed, robots):
+    state = {"weights": True, "destination": "none"}
+    worlds = [
+        make(EnvConfig(robots=robots, state=StateConfig(order=order, **state)), seed, worlds=3)
+        for order in ("index", "gain")
+    ]
+    for world in worlds:
+        world.reset()
+        world.driving[:, 0] = robots == 1
+    rows, sorted_rows = (world.global_observation().reshape(3, robots, 7) for world in worlds)
+    assert sorted_rows.shape == rows.shape
+    counts = worlds[0].driving.sum(axis=-1)
+    for by_index, by_gain, count in zip(rows, sorted_rows, counts, strict=True):
+        assert sorted(map(tuple, by_index)) == sorted(map(tuple, by_gain))
+        assert (np.diff(by_gain[:count, 2]) <= 0).all()  # the channel in dB falls
+        assert by_gain[:count, 6].sum() == pytest.approx(1.0, abs=1e-6)
+
+
 def test_positions_are_scaled_to_a_room_of_any_shape():
     config = EnvConfig(
         robots=1,
@@ -477,7 +529,8 @@ def test_positions_are_scaled_to_a_room_of_any_shape():
 
 
 @pytest.mark.parametrize(
-    "variant", ["project", "zero", "literal", "many", "qoe", "oma_qoe", "common"]
+    "variant",
+    ["project", "zero", "literal", "way", "literal_way", "many", "qoe", "oma_qoe", "common"],
 )
 def test_a_slice_makes_the_worlds_observation_and_reward_bit_by_bit(variant):
     config = VARIANTS[variant]

@@ -36,6 +36,21 @@ CONFIGS: dict[str, dict[str, Any]] = {
     "four_robots": {"robots": 4, "motion": SHORT},
     "drawn_destinations": {"robots": 6, "motion": SHORT},
     "state_without_destination": {"robots": 2, "state": {"destination": "none"}, "motion": SHORT},
+    "round_solid_walls": {"robots": 2, "plan": "corridor", "motion": {"max_slots": 120}},
+    "the_way": {"robots": 2, "state": {"way": "on", "destination": "none"}, "motion": SHORT},
+    "weights_by_gain": {
+        "robots": 3,
+        "state": {"weights": True, "order": "gain"},
+        "reward": {"credit": "difference", "weights": "objective", "guidance_discount": 0.8},
+        "motion": SHORT,
+    },
+    "told_of_others": {"robots": 3, "state": {"others": 2, "way": "on"}, "motion": SHORT},
+    "told_of_one_other": {
+        "robots": 3,
+        "state": {"others": 1, "destination": "none"},
+        "reward": {"horizon_slots": 200.0},
+        "motion": SHORT,
+    },
     "residual": {"robots": 4, "power": {"resolve": "residual", "levels": 3}, "motion": SHORT},
     "zero": {"robots": 2, "power": {"resolve": "zero"}, "motion": SHORT},
     "two_subsurfaces": {"robots": 2, "ris": {"subsurfaces": 2}, "motion": SHORT},
@@ -267,10 +282,8 @@ def test_a_shortest_way_takes_the_single_robot_to_its_goal(config: dict[str, Any
     view = single(config={**config, "motion": {}})
     (_, info), world = view.reset(seed=4), view._fleet.world
     for _ in range(info["shortest_slots"]):
-        step = (
-            world.floor.centres()[world.destinations[0]] - world.floor.centres()[world.cell[0, 0]]
-        )
-        direction = (2 if step[0] > 0 else 3) if step[0] else (0 if step[1] > 0 else 1)
+        there = world.slots_to_go[world.next_cell[world.cell[0, 0]], 0]
+        direction = there.argmin()
         _, reward, terminated, truncated, info = view.step(
             np.int64(direction * view.config.power.levels)
         )

@@ -308,7 +308,7 @@ def test_the_documents_example_is_a_plan_that_trains(tmp_path, monkeypatch):
     there = floor.slots_to(np.array([through_the_door[0]]))[through_the_door[1], 0]
     assert there == 10 + 2 * 2  # ten cells across, and up to the door and down again
     limits = ["train.max_ticks=50", "evaluation.episodes=2", "run.figures=false"]
-    command = ["train", "runtime=local", "env.plan=two_rooms.toml", "env.reward.distance=way"]
+    command = ["train", "runtime=local", "env.plan=two_rooms.toml"]
     assert main([*command, *limits, "run.tensorboard=false", "run.dir=run"]) == 0
     assert from_yaml((tmp_path / "run" / "config.yaml").read_text()).env.plan == "two_rooms.toml"
 

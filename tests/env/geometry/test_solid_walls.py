@@ -214,6 +214,72 @@ def test_starts_in_a_views_options_need_a_way():
         view.reset(options={"starts_m": [[3.25, 0.25], [2.25, 2.25]]})
 
 
+# The way in a robot's state.
+
+
+def test_a_robot_before_a_solid_wall_sees_its_way_by_hand():
+    config = checked_config(solid(CUP, [[3.25, 2.25]], robots=1))
+    world = world_of(config)
+    world.reset(np.array([[4 * 8 + 5]]))  # inside the cup, right before its bottom
+    left = int(world.shortest_slots[0, 0])
+    found = world.local_observations()[0, 0]
+    assert found.dtype == np.float32
+    # North and south lie the cup's sides, one cell off; east is the wall, west leads out.
+    saved = [left - int(world.slots_to_go[cell, 0]) for cell in world.next_cell[4 * 8 + 5]]
+    assert saved[2:] == [0, 1]
+    assert found[5:9].tolist() == saved
+    assert found[9] == np.float32(left / 8)  # 8 rows and 8 columns
+    world.reset(np.array([[4 * 8 + 7]]))  # beyond the bottom, beside the destination
+    assert world.local_observations()[0, 0, 5:].tolist() == [-1.0, -1.0, 0.0, 1.0, 0.125]
+
+
+def test_where_no_way_leads_the_way_is_a_long_one_and_no_move_saves():
+    config = checked_config(solid(BOX, [[0.25, 0.25], [0.25, 1.25]]))
+    world = world_of(config)
+    inside = int(world.floor.cell_at(np.array([2.25, 2.25])))
+    assert world.slots_to_go[inside, 0] == UNREACHABLE
+    world.reset(np.array([[inside, inside]]))
+    assert world.local_observations()[0, :, 5:].tolist() == [[0.0, 0.0, 0.0, 0.0, 10.0]] * 2
+
+
+def test_the_way_is_seen_by_default_where_walls_are_solid_and_by_robots_alone():
+    goals = [[3.25, 2.25], [0.25, 0.25]]
+    sizes = {}
+    for block in (False, True):
+        for way in ("auto", "on", "off"):
+            changes = {"state": {"way": way}, "tasks": {"start_distance_m": 0.5}}
+            settings_ = solid(CUP, goals, **changes)
+            settings_["walls"] = {**settings_["walls"], "block_motion": block}
+            world = world_of(checked_config(settings_))
+            world.reset()
+            sizes[block, way] = world.local_observations().shape[-1]
+            assert world.observer.local_size == sizes[block, way]
+            assert world.global_observation().shape == (1, 16)
+    assert sizes == {
+        (False, "auto"): 5, (False, "on"): 10, (False, "off"): 5,
+        (True, "auto"): 10, (True, "on"): 10, (True, "off"): 5,
+    }  # fmt: skip
+
+
+@given(plans, st.integers(0, 50))
+def test_a_move_that_saves_a_slot_is_there_until_the_destination(walls, seed):
+    """Following any move with a 1 takes the shortest way, whatever stands between."""
+    floor = floor_of(walls)
+    drivable = np.flatnonzero(floor.drivable())
+    if len(drivable) < 4:
+        return
+    goals = floor.centres()[drivable[[0, -1]]].tolist()
+    changes = {"tasks": {"start_distance_m": 0.0}}
+    world = world_of(checked_config(solid([list(wall) for wall in walls], goals, **changes)), seed)
+    world.reset()
+    shortest = world.shortest_slots[0].copy()
+    for slot in range(1, int(shortest.max()) + 1):
+        saved = world.local_observations()[..., 5:9]
+        assert set(np.unique(saved)) <= {-1.0, 0.0, 1.0}
+        world.step(np.zeros(1, dtype=int), saved.argmax(axis=-1), np.array([[1, 2]]))
+        assert world.driving[0].tolist() == (shortest > slot).tolist()
+
+
 # Guidance.
 
 
@@ -226,7 +292,7 @@ def test_guidance_along_the_way_is_the_length_over_the_floor_in_metres():
     outcome = world.step(np.zeros(1, dtype=int), np.array([[3]]), np.array([[1]]))
     gained = 3.0 * 0.5 - 1.0 + 0.05 * outcome.rate[0, 0]
     assert outcome.local_reward[0, 0] == pytest.approx(gained)
-    straight = checked_config(solid(CUP, [[3.25, 2.25]], robots=1))
+    straight = checked_config(solid(CUP, [[3.25, 2.25]], robots=1, reward={"distance": "straight"}))
     other = world_of(straight)
     other.reset(np.array([[4 * 8 + 5]]))
     outcome = other.step(np.zeros(1, dtype=int), np.array([[3]]), np.array([[1]]))
@@ -234,7 +300,7 @@ def test_guidance_along_the_way_is_the_length_over_the_floor_in_metres():
 
 
 @pytest.mark.parametrize("block", [False, True])
-@pytest.mark.parametrize("along", ["straight", "way"])
+@pytest.mark.parametrize("along", ["auto", "straight", "way"])
 def test_a_slice_makes_the_worlds_reward_bit_by_bit(block, along):
     changes = {"reward": {"distance": along}, "collisions": "block" if block else "allow"}
     config = checked_config(solid(CUP, [[3.25, 2.25], [0.25, 0.25]], **changes))
@@ -254,10 +320,25 @@ def test_a_slice_makes_the_worlds_reward_bit_by_bit(block, along):
             assert alone[0] == outcome.local_reward[0, k]
 
 
+@pytest.mark.parametrize("name", ["corridor", "hall"])
+def test_by_default_the_way_guides_where_walls_are_solid_and_nowhere_else(name):
+    def table(plan, **changes):
+        config = checked_config({"plan": plan, **changes})
+        return world_of(config).scenario.distance_m
+
+    way, straight = ({"reward": {"distance": along}} for along in ("way", "straight"))
+    assert (table(name) == table(name, **way)).all()
+    assert (table("default") == table("default", **straight)).all()
+    radio = {"walls": {"block_motion": False}}
+    assert (table(name, **radio) == table(name, **radio, **straight)).all()
+
+
 def test_the_start_distance_stays_a_straight_one():
     changes = {"tasks": {"start_distance_m": 2.0}}
     goals = [[3.25, 2.25], [0.25, 0.25]]
-    straight = world_of(checked_config(solid(CUP, goals, **changes)), worlds=20)
+    straight = world_of(
+        checked_config(solid(CUP, goals, reward={"distance": "straight"}, **changes)), worlds=20
+    )
     way = world_of(
         checked_config(solid(CUP, goals, reward={"distance": "way"}, **changes)), worlds=20
     )

@@ -16,6 +16,8 @@ from env.mdp.reward import (
     metric,
     motion_energy_j,
     quality_of_experience,
+    rate_weights,
+    shares,
 )
 
 
@@ -41,6 +43,37 @@ def test_a_robots_reward_of_eq_11_by_hand():
     found = local_reward(rate, before, after, arrived, RewardConfig())
     # 0.05 * 10 + 3 * 0.5 - 1; the same and 100; 3 * (-0.5) - 1.
     assert found == pytest.approx([1.0, 101.0, -2.5])
+
+
+def test_a_discount_of_the_guidance_weighs_the_distance_after_the_move():
+    before, after, nowhere = np.array([5.0]), np.array([4.5]), np.array([False])
+    weights = RewardConfig(guidance_discount=0.8)
+    # 0.05 * 10 + 3 * (5 - 0.8 * 4.5) - 1.
+    assert local_reward(np.array([10.0]), before, after, nowhere, weights) == pytest.approx([3.7])
+
+
+@given(st.lists(st.floats(0, 40), min_size=2, max_size=30), st.floats(0.5, 1))
+def test_with_the_robots_discount_the_guidance_depends_on_start_and_end_alone(way_m, discount):
+    """Summed with the same discount, what lies between a start and a destination cancels."""
+    way = np.array([*way_m, 0.0])
+    weights = RewardConfig(rate=0.0, time=0.0, guidance_discount=discount)
+    paid = local_reward(np.zeros(len(way) - 1), way[:-1], way[1:], np.array(False), weights)
+    discounted = paid * discount ** np.arange(len(paid))
+    assert discounted.sum() == pytest.approx(3.0 * way[0], abs=1e-9)
+
+
+def test_rates_weigh_as_the_objective_counts_them():
+    assert rate_weights(np.array([40, 20, 80]), 40.0).tolist() == [1.0, 4.0, 0.25]
+    # Twice the slots is a quarter of 1 / (T_k E_k).
+    slots = np.array([[40], [20], [80]])
+    found = energy_efficiency(np.ones((3, 1)), slots, 1.0, MotionConfig())
+    assert found / found[0] == pytest.approx([1.0, 4.0, 0.25])
+
+
+def test_shares_are_of_those_that_drive():
+    driving = np.array([[True, False, True], [False, False, False]])
+    found = shares(np.array([[1.0, 5.0, 3.0]] * 2), driving)
+    assert found.tolist() == [[0.25, 0.0, 0.75], [0.0, 0.0, 0.0]]
 
 
 def test_the_rate_alone_does_not_pay_for_waiting():

@@ -38,6 +38,11 @@ VARIANTS: list[dict[str, Any]] = [
     {"metric": "qoe", "access": "oma"},
     {"ris": {"side": 6, "response": "near", "action": "codebook", "sectors": [3, 2]}},
     {"channel": {"fading": "slot"}},
+    {"robots": 4, "reward": {"credit": "difference", "weights": "objective"}},
+    {"state": {"way": "on", "destination": "none"}, "channel": {"fading": "slot"}},
+    {"robots": 4, "state": {"weights": True, "order": "gain"}},
+    {"robots": 3, "state": {"others": 2, "way": "on"}},
+    {"robots": 3, "state": {"others": 1}, "channel": {"fading": "slot"}},
     {"collisions": "block", "walls": {"segments": [[0.0, 4.0, 7.0, 4.0]], "block_motion": True}},
 ]
 
