@@ -98,7 +98,10 @@ class Projection:
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The nearest levels with no margin to keep, and their gaps; remembered where few."""
         if not self._remembers:
-            levels, _ = project_levels(np.maximum(picks, 1), _served(picks), self._levels)
+            levels, broken = picks.copy(), ~_fall(picks)
+            if broken.any():
+                tried = np.maximum(picks[broken], 1)
+                levels[broken], _ = project_levels(tried, _served(picks[broken]), self._levels)
             return levels, _gaps(levels)
         index = picks @ self._place
         new = ~self._known.take(index)
@@ -113,6 +116,11 @@ class Projection:
 def _served(picks: NDArray[np.int64]) -> NDArray[np.int64]:
     """How many ranks of each row are served, shape (B,)."""
     return np.asarray(np.count_nonzero(picks, axis=-1))
+
+
+def _fall(picks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Rows that are feasible as they are, without margins: levels fall with the rank, (B,)."""
+    return np.asarray(((picks[:, 1:] < picks[:, :-1]) | (picks[:, 1:] == 0)).all(axis=-1))
 
 
 def _gaps(levels: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ import pytest
 from env.checks import checked_config
 from env.downlink.combinations import count_combinations, deal, levels_by_rank
 from env.downlink.power import Projection
+from env.downlink.power_search import project_levels
 
 
 def test_of_four_levels_and_two_robots_there_are_six_combinations():
@@ -50,6 +51,23 @@ def test_every_combination_is_sent_as_it_is_where_no_margin_is_asked():
         sent, changed, _ = Projection(4, 8)(picks, np.zeros((len(picks), 3)))
         np.testing.assert_array_equal(sent, picks)
         assert not changed.any()
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.01])
+def test_picks_that_are_a_combination_are_projected_as_all_others(margin):
+    """Six robots of eight levels have more picks than are remembered."""
+    draw = np.random.default_rng(0)
+    fall = levels_by_rank(checked_config({"robots": 6, "power": {"levels": 8}}), 6, 6)
+    picks = np.concatenate([draw.integers(1, 9, size=(100, 6)), fall])
+    count = draw.integers(1, 7, size=len(picks))
+    picks = np.where(np.arange(6) < count[:, None], picks, 0)
+    least_gap = np.full((len(picks), 5), margin)
+    sent, changed, dropped = Projection(6, 8)(picks, least_gap)
+    expected, feasible = project_levels(np.maximum(picks, 1), count, 8, least_gap)
+    np.testing.assert_array_equal(dropped, ~feasible)
+    np.testing.assert_array_equal(sent[feasible], expected[feasible])
+    np.testing.assert_array_equal(changed, (sent != picks).any(axis=-1))
+    assert margin or not changed[100:].any()
 
 
 def test_the_strongest_robot_gets_the_least_power_and_fewer_robots_the_last_levels():
