@@ -151,7 +151,8 @@ def best_powers(
     best = _nothing_found(world, weights)
     for at, ranked in _searches(world, 1):
         _search(world, at, phase[at, None], ranked, weights[:, at], best)
-    return best.level[0]
+    level: NDArray[np.int64] = best.level[0]
+    return level
 
 
 def objective_weights(world: World, slots: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -237,7 +237,7 @@ class Unwatched:
 def test_a_level_that_robots_no_longer_pick_is_refused(tiny: Tiny) -> None:
     config = powered(tiny, "search")
     fleet = Idle()
-    fleet.actions = lambda tick: np.array([0, 4, 0], np.int32)  # type: ignore[method-assign]
+    fleet.actions = lambda tick: np.array([0, 4, 0], np.int32)
     run = Coordinator(config, world_of(config), AccessPoint(config), fleet, None, Unwatched())
     with pytest.raises(ValueError, match="tick 0: action 4 of robot 1, of -1 to 3"):
         run.run(np.zeros((2, 0), np.float32))
