@@ -98,12 +98,10 @@ class Projection:
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """The nearest levels with no margin to keep, and their gaps; remembered where few."""
         if not self._remembers:
-            levels, infeasible = picks.copy(), ~_fall(picks)
-            if infeasible.any():
-                tried = picks[infeasible]
-                levels[infeasible], _ = project_levels(
-                    np.maximum(tried, 1), _served(tried), self._levels
-                )
+            levels, broken = picks.copy(), ~_fall(picks)
+            if broken.any():
+                tried = np.maximum(picks[broken], 1)
+                levels[broken], _ = project_levels(tried, _served(picks[broken]), self._levels)
             return levels, _gaps(levels)
         index = picks @ self._place
         new = ~self._known.take(index)

@@ -17,13 +17,13 @@ Served = tuple[NDArray[np.int64], NDArray[np.int64]]
 class Service:
     """From what was chosen to what is served, in any number of worlds.
 
-    ========== ===============================================================================
-    robots     the phase that was chosen, and the robots' picks; an oracle's phase is the best
-               one for these picks
-    ap         an action is a phase setting and a combination of powers, dealt by rank
-    search     the best powers under the phase that was chosen; an oracle's phase and powers
-               are searched together
-    ========== ===============================================================================
+    By ``scheme.power``:
+
+    * ``robots``: the phase that was chosen, and the robots' picks; an oracle's phase is the best
+      one for these picks.
+    * ``ap``: an action is a phase setting and a combination of powers, which is dealt by rank.
+    * ``search``: the best powers under the phase that was chosen; an oracle's phase and powers are
+      searched together.
 
     Args:
         config: the run's configuration; ``scheme`` and ``env`` are read.
