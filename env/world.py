@@ -136,7 +136,7 @@ class World:
     @property
     def travel_slots(self) -> NDArray[np.int64]:
         """T_k: slots so far and the fewest that are left, at least 1, shape (B, K)."""
-        return np.maximum(self.slot[:, None] + self.shortest_slots, 1)
+        return np.asarray(np.maximum(self.slot[:, None] + self.shortest_slots, 1))
 
     @property
     def rate_weights(self) -> NDArray[np.float64]:

@@ -17,7 +17,6 @@ CHANNEL = 2
 WAY_SIZE = 5
 WAY_BOUND = 10.0
 """Most that is seen of the way left; so much is seen where there is none."""
-
 LEAD_BOUND = 2.0
 """Most that is seen of how many slots more or fewer another robot will have driven."""
 PACE_BOUND = 4.0
