@@ -35,7 +35,8 @@ def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells:
             absurd; the message names tick, robot and value.
     """
     if len(updates) > FEW:  # of many, only those that something is wrong with are looked at
-        robots, updates = _suspects(robots, updates, cells)
+        rows = _suspects(updates, cells)
+        robots, updates = [robots[row] for row in rows], updates[rows]
     for robot, received in zip(robots, updates[_FIELDS].tolist(), strict=True):
         cell, reached, rate, channel_db, reached_db = received
         if not (
@@ -58,10 +59,8 @@ def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells:
             _check_finite(tick, robots, updates[name].sum(axis=-1), "a broadcast to")
 
 
-def _suspects(
-    robots: Sequence[int], updates: np.ndarray, cells: int
-) -> tuple[list[int], np.ndarray]:
-    """The records in which a number is out of range, with their robots."""
+def _suspects(updates: np.ndarray, cells: int) -> NDArray[np.intp]:
+    """The rows in which a number is out of range."""
     sound = (updates["rate"] >= 0.0) & (updates["rate"] <= RATE_LIMIT)
     for name in ("cell", "outcome_cell"):
         sound &= (updates[name] >= 0) & (updates[name] < cells)
@@ -70,8 +69,7 @@ def _suspects(
     if "broadcast" in (updates.dtype.names or ()):
         for name in ("broadcast", "outcome_broadcast"):
             sound &= np.isfinite(updates[name].sum(axis=-1))
-    rows = np.flatnonzero(~sound)
-    return [robots[row] for row in rows], updates[rows]
+    return np.flatnonzero(~sound)
 
 
 def check_rewards(

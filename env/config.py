@@ -166,7 +166,7 @@ class StateConfig:
         "a robot's moves that shorten its way, and the way left; auto: where walls are solid",
     ] = "auto"
     others: Annotated[
-        int, Ge(0), "of how many other robots the AP tells each, those that weigh most first"
+        int, Interval(ge=0, le=63), "of how many others at most the AP tells each robot"
     ] = 0
     weights: Annotated[
         bool, "the AP sees each robot's share of all w_k, what its rate counts for in (5a)"

@@ -192,9 +192,6 @@ def _combination_problems(config: EnvConfig) -> list[Problem]:
             " each robot a level of its own (residual and zero allow fewer)"
         )
         found.append(("env.power.levels", power.levels, allowed))
-    if config.state.others >= config.robots:
-        allowed = f"at most {config.robots - 1}, the other robots with env.robots={config.robots}"
-        found.append(("env.state.others", config.state.others, allowed))
     credit = config.reward.credit
     if credit == "difference" and config.access == "noma" and power.resolve != "project":
         allowed = (

@@ -61,7 +61,8 @@ class ObservationEncoder:
         self._way_scale = 2.0 / (floor.rows + floor.columns)
         self.own_size = 5 if self._offset else 3
         self.has_way = _has_way(config)
-        self._others, self._horizon_slots = config.state.others, config.reward.horizon_slots
+        self._others = min(config.state.others, config.robots - 1)
+        self._horizon_slots = config.reward.horizon_slots
         self.broadcast_size = self._others * (2 + self.own_size) + (self._others > 0)
         self._alone_size = self.own_size + WAY_SIZE * self.has_way
         self.local_size = self._alone_size + self.broadcast_size
