@@ -133,7 +133,7 @@ def _measured(
     played, figures = measured_map.measures(evaluator, seed, *gathering, slack, _shown)
     best, named = found[optimality_gap.TRAJECTORY].ee.mean(), {}
     for number, measures in played.items():
-        name = f"measured map, {number} episode{'s' * (number > 1)}"
+        name = f"measured, {number} episode{'s' * (number > 1)}"
         found[name], named[name] = measures, figures[number]
         named[name]["share"] = float(measures.ee.mean() / best)
     return named
@@ -182,14 +182,14 @@ def _show(console: Console, title: str, results: dict[str, Any]) -> None:
 
 
 def _show_measured(console: Console, results: dict[str, Any]) -> None:
-    table = Table(title="plans on what robots measured before", title_justify="left")
-    for label in ("", "share of the trajectory's EE", "cells seen", "bytes up"):
+    table = Table(title="plans on the map that robots measured", title_justify="left")
+    for label in ("", "of the trajectory's EE", "cells seen", "bytes up"):
         table.add_column(label, justify="right" if label else "left")
     for name, each in results["measured"].items():
         shares = (f"{each[key]:.1%}" for key in ("share", "cells_seen"))
         table.add_row(name, *shares, f"{each['bytes_up']:,}")
     console.print(table)
-    console.print("Nothing is learned from rewards.", highlight=False)
+    console.print("Measured before these episodes; nothing learns from rewards.", highlight=False)
 
 
 def _show_gap(console: Console, results: dict[str, Any]) -> None:

@@ -52,9 +52,9 @@ def test_the_command_adds_rows_and_changes_none(
     capsys.readouterr()
     found = told(tmp_path, "--measured", "5", "1", "5")
     printed = " ".join(capsys.readouterr().out.split())
-    for word in ("measured map, 1 episode", "cells seen", "bytes up", "learned from rewards"):
+    for word in ("measured, 1 episode", "cells seen", "bytes up", "nothing learns from rewards"):
         assert word in printed
-    names = ["measured map, 1 episode", "measured map, 5 episodes"]
+    names = ["measured, 1 episode", "measured, 5 episodes"]
     assert list(found["measured"]) == names
     assert found["measures"].keys() == plain["measures"].keys() | {*names}
     assert plain["measures"] == {name: found["measures"][name] for name in plain["measures"]}
