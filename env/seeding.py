@@ -21,6 +21,7 @@ class Stream(IntEnum):
     ROBOT = 4
     EVALUATION = 5
     RADIO_MAP = 6
+    GATHERING = 7
 
 
 def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:

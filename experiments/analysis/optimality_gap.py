@@ -100,6 +100,7 @@ def trajectory_measures(
     slack: int,
     each: Each = iter,
     watch: Callable[[World, Served], object] = lambda world, served: None,
+    planned_in: World | None = None,
 ) -> EpisodeMeasures:
     """Plans every held-out episode and plays the plans.
 
@@ -108,12 +109,13 @@ def trajectory_measures(
         slack: extra slots that a robot may take.
         each: goes through the starts, and may show how far it is.
         watch: is shown the world in every slot before it moves on, with what is served in it.
+        planned_in: the world as the planner knows it; the one that is played in if None.
 
     Returns:
         The measures of the plans.
     """
-    world = evaluator.world
-    plans = [best_trajectory(world, start, slack) for start in each(evaluator.starts)]
+    world, known = evaluator.world, planned_in or evaluator.world
+    plans = [best_trajectory(known, start, slack) for start in each(evaluator.starts)]
     world.reset(evaluator.starts)
     tally = EpisodeAccumulator(world)
     for slot in range(max(len(plan.phase) for plan in plans)):

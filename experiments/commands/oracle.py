@@ -1,4 +1,7 @@
-"""``risfleet oracle``: what oracles reach on held-out starts, and a run's gap to them."""
+"""``risfleet oracle``: what oracles reach on held-out starts, and a run's gap to them.
+
+With ``--measured`` plans on the map that robots measured stand beside them.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,16 @@ from rich.text import Text
 from agent import single_threaded
 from conf import Config, ConfigError
 from conf.user_paths import user_path
-from experiments.analysis import optimality_gap
+from env.radio.measured_map import refuse
+from experiments.analysis import measured_map, optimality_gap
 from experiments.analysis.optimality_gap import SLACK
-from experiments.console.arguments import check_place, not_negative, positive, run_folder
+from experiments.console.arguments import (
+    check_place,
+    deviation_db,
+    not_negative,
+    positive,
+    run_folder,
+)
 from storage.atomic import write_atomically
 from storage.strict_json import to_json
 from training.evaluation import Evaluator
@@ -47,8 +57,11 @@ def main(arguments: Sequence[str]) -> int:
     given = _parser().parse_args(arguments)
     try:
         check_place("--json", given.json)
+        if given.noise_db and not given.measured:
+            raise ConfigError(f"--noise-db {given.noise_db:g}: allowed is 0 without --measured.")
         config, weights = _read(given.what)
-        results = compare(config, weights, given.episodes, given.slack, given.seed)
+        gathering = sorted(set(given.measured)), given.noise_db
+        results = compare(config, weights, given.episodes, given.slack, given.seed, gathering)
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
@@ -65,6 +78,7 @@ def compare(
     episodes: int = EPISODES,
     slack: int = SLACK,
     starts_seed: int | None = None,
+    gathering: tuple[Sequence[int], float] = ((), 0.0),
 ) -> dict[str, Any]:
     """Plays the oracles, and a policy where there is one.
 
@@ -74,9 +88,13 @@ def compare(
         episodes: how many held-out episodes.
         slack: extra slots that a planned path may take.
         starts_seed: picks the starts, random phases and the bootstrap; the run's seed if None.
+        gathering: numbers of episodes after which to plan on the measured map, and the standard
+            deviation of a measured gain in dB.
 
     Returns:
-        "measures" of each policy, and with weights the "gap", as ``optimality_gap.gap``.
+        "measures" of each policy; with weights the "gap", as ``optimality_gap.gap``; with
+        gathering what was "measured", as ``measured_map.measures``, and the share of the
+        trajectory's EE.
 
     Raises:
         ConfigError: the oracles cannot search this configuration.
@@ -85,26 +103,50 @@ def compare(
     seed = config.seed if starts_seed is None else starts_seed
     evaluator = Evaluator(config, episodes=episodes, starts_seed=starts_seed)
     try:
-        _refuse_fading(config)
+        _refuse(config, measured=bool(gathering[0]))
         found = {} if weights is None else optimality_gap.policy_measures(evaluator, *weights)
         found |= optimality_gap.shortest_measures(evaluator, seed)
         found[optimality_gap.TRAJECTORY] = optimality_gap.trajectory_measures(
             evaluator, slack, _shown
         )
+        measured = _measured(evaluator, config.seed, gathering, slack, found)
     except ValueError as error:
         raise ConfigError(f"{error}.") from error
     results: dict[str, Any] = {"measures": {name: one.summary() for name, one in found.items()}}
     if weights is not None:
         results["gap"] = optimality_gap.gap(found, seed)
+    if measured:
+        results["measured"] = measured
     return results
 
 
-def _refuse_fading(config: Config) -> None:
-    """Finds before anything is played that no plan can be made."""
+def _measured(
+    evaluator: Evaluator,
+    seed: int,
+    gathering: tuple[Sequence[int], float],
+    slack: int,
+    found: optimality_gap.Measures,
+) -> dict[str, measured_map.Figures]:
+    """Adds the plans on measured maps to what was found; figures by the name of the row."""
+    if not gathering[0]:
+        return {}
+    played, figures = measured_map.measures(evaluator, seed, *gathering, slack, _shown)
+    best, named = found[optimality_gap.TRAJECTORY].ee.mean(), {}
+    for number, measures in played.items():
+        name = f"measured, {number} episode{'s' * (number > 1)}"
+        found[name], named[name] = measures, figures[number]
+        named[name]["share"] = float(measures.ee.mean() / best)
+    return named
+
+
+def _refuse(config: Config, measured: bool) -> None:
+    """Finds before anything is played that no plan can be made, or no map be measured."""
     if config.env.channel.fading == "slot":
         raise ValueError(
             "env.channel.fading=slot: allowed is static or none: a plan needs channels that stay"
         )
+    if measured:
+        refuse(config.env.ris)
 
 
 def _read(
@@ -133,8 +175,24 @@ def _show(console: Console, title: str, results: dict[str, Any]) -> None:
         table.add_row(name, *(_measure(key, values[key]) for key in COLUMNS))
     console.print(table)
     console.print(UNITS, highlight=False)
-    if "gap" not in results:
-        return
+    if "measured" in results:
+        _show_measured(console, results)
+    if "gap" in results:
+        _show_gap(console, results)
+
+
+def _show_measured(console: Console, results: dict[str, Any]) -> None:
+    table = Table(title="plans on the map that robots measured", title_justify="left")
+    for label in ("", "of the trajectory's EE", "cells seen", "bytes up"):
+        table.add_column(label, justify="right" if label else "left")
+    for name, each in results["measured"].items():
+        shares = (f"{each[key]:.1%}" for key in ("share", "cells_seen"))
+        table.add_row(name, *shares, f"{each['bytes_up']:,}")
+    console.print(table)
+    console.print("Measured before these episodes; nothing learns from rewards.", highlight=False)
+
+
+def _show_gap(console: Console, results: dict[str, Any]) -> None:
     parts = Table(title="what the policy leaves of the trajectory's EE", title_justify="left")
     for name in ("", "EE (bit/s/Hz/J)", "95 % interval", "share"):
         parts.add_column(name, justify="right" if name else "left")
@@ -162,6 +220,20 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
+    )
+    parser.add_argument(
+        "--measured",
+        type=positive,
+        nargs="+",
+        default=[],
+        metavar="N",
+        help="plan on the map measured in N episodes, too",
+    )
+    parser.add_argument(
+        "--noise-db",
+        type=deviation_db,
+        default=0.0,
+        help="standard deviation of a measured gain in dB",
     )
     parser.add_argument(
         "--json", type=user_path, metavar="FILE", help="write the measures there too"

@@ -49,6 +49,11 @@ def not_negative(text: str) -> int:
     return int(_number(text, int, 0, math.inf, "a whole number of at least 0"))
 
 
+def deviation_db(text: str) -> float:
+    """An option's deviation in dB, from 0 to 100."""
+    return _number(text, float, 0, 100, "a number from 0 to 100")
+
+
 def share(text: str) -> float:
     """An option's number from 0 to 1."""
     return _number(text, float, 0, 1, "a number from 0 to 1")
