@@ -93,13 +93,17 @@ class RobotGroup:
         reward = self._slice.reward(credit, self._cell, reached, arrived)
         check_rewards(tick, self._rows, reward, learning)
         next_observation = observation
-        channel_db = updates["outcome_channel_db"]
-        if (reached != updates["cell"]).any() or (channel_db != updates["channel_db"]).any():
+        if self._has_begun_anew(updates):
             told = updates["outcome_broadcast"] if self._slice.broadcast_size else None
-            next_observation = self._slice.observe(reached, channel_db, told)
+            next_observation = self._slice.observe(reached, updates["outcome_channel_db"], told)
         self.agents.learn(
             self._observation, self._action, reward, next_observation, arrived, learning
         )
+
+    def _has_begun_anew(self, updates: np.ndarray) -> bool:
+        """Whether anything is observed now that the outcome did not lead to."""
+        parts = ("cell", "channel_db", "broadcast")[: 3 if self._slice.broadcast_size else 2]
+        return any((updates[part] != updates[f"outcome_{part}"]).any() for part in parts)
 
     def upload(self) -> NDArray[np.float32]:
         """Online and target weights of each robot, float32, shape (n, 2, P)."""

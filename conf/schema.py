@@ -73,7 +73,7 @@ class TrainConfig:
     episodes: Annotated[int, Ge(1), "N_e"] = 300
     max_ticks: Annotated[int | None, Ge(1), "a number ends the run earlier"] = None
     worlds: Annotated[
-        int, Interval(ge=1, le=1024), "E: copies of the world in which each robot drives at once"
+        int, Interval(ge=1, le=1000), "E: copies of the world in which each robot drives at once"
     ] = 1
 
 

@@ -99,6 +99,8 @@ def _central_problems(config: Config) -> Iterator[Problem]:
     for key in ("phase", "robots"):
         if getattr(config.scheme, key) != "learned":
             yield f"scheme.{key}", getattr(config.scheme, key), f"learned with {who}"
+    if (order := config.env.state.order) != "index":
+        yield "env.state.order", order, f"index with {who}: it acts for robots by their index"
     if config.scheme.agents == "branching":
         yield from _head_problems(config.agent)
     count = joint_actions(config)

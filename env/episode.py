@@ -117,7 +117,7 @@ class EpisodeAccumulator:
         return EpisodeMeasures(
             success=self._arrived.mean(axis=-1),
             path_ratio=np.where(self._arrived, ratio, np.nan),
-            reward=self._reward,
+            reward=self._reward.copy(),
             ee=energy_efficiency(self._rate_sum, slots, slot_s, config.motion),
             ee_bits_per_joule=bits_per_joule(
                 self._rate_sum, slots, slot_s, config.noise.bandwidth_hz, config.motion

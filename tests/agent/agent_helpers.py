@@ -31,9 +31,9 @@ class Experience:
             np.copyto(self.next[:-1], self.observations[1:], where=leads)
 
 
-def fleet(shape, config, seeds, discount=0.8, mu=0.0):
+def fleet(shape, config, seeds, discount=0.8, mu=0.0, worlds=1):
     """Agents with the given streams, each with first weights of its own seed."""
-    agents = DQN(shape, config, discount, generators(seeds), proximal_mu=mu)
+    agents = DQN(shape, config, discount, generators(seeds), proximal_mu=mu, worlds=worlds)
     agents.load(
         np.stack(
             [
@@ -46,10 +46,10 @@ def fleet(shape, config, seeds, discount=0.8, mu=0.0):
 
 
 def live(agents, experience, members, start=0, stop=None):
-    """Plays ticks for the agents that stand at `members` of the experience.
+    """Plays ticks for the agents, or for the worlds of agents, at `members` of the experience.
 
     Returns:
-        Actions and losses, each of shape (ticks, members).
+        Actions, shape (ticks, members), and losses, shape (ticks, agents).
     """
     actions, losses = [], []
     for t in range(start, experience.ticks if stop is None else stop):

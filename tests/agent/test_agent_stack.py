@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent import DiscountConfig, PriorityConfig, TargetConfig
+from agent.replay.uniform import RowLayout
 
 ALL = {
     "n_step": 5,
@@ -69,6 +70,68 @@ def test_an_agent_ends_in_the_same_bits_alone_and_stacked(variant):
         assert same_bits(own_losses[:, 0], losses[:, agent])
         for name, array in alone.agent_state(0).items():
             assert same_bits(array, together.agent_state(agent)[name]), name
+
+
+@pytest.mark.parametrize(
+    "variant", ["plain", "no discount", "n-step returns", "priorities", "FedProx", "all of them"]
+)
+def test_an_agent_in_four_worlds_ends_in_the_same_bits_alone_stacked_and_saved(variant):
+    changes, discount, mu = VARIANTS[variant]
+    config = adapted(changes)
+    shape, worlds, seeds = shape_of(config), 4, [3, 5, 8]
+    experience = Experience(shape, 3 * worlds, 160, late=4, chained=True)
+    together = fleet(shape, config, seeds, discount, mu, worlds)
+    actions, losses = live(together, experience, range(12))
+    assert np.isfinite(losses[-1]).all()
+    for agent, seed in enumerate(seeds):
+        own = slice(worlds * agent, worlds * (agent + 1))
+        first = fleet(shape, config, [seed], discount, mu, worlds)
+        before = live(first, experience, own, stop=70)
+        alone = fleet(shape, config, [99], discount, mu, worlds)
+        alone.restore_agent(0, first.agent_state(0))
+        after = live(alone, experience, own, start=70)
+        assert same_bits(np.concatenate([before[0], after[0]]), actions[:, own])
+        assert same_bits(np.concatenate([before[1], after[1]])[:, 0], losses[:, agent])
+        for name, array in alone.agent_state(0).items():
+            assert same_bits(array, together.agent_state(agent)[name]), name
+
+
+@pytest.mark.parametrize(("worlds", "learn_from", "first"), [(1, 20, 19), (4, 20, 4), (4, 21, 5)])
+def test_transitions_of_all_worlds_count_and_a_tick_has_one_gradient_step(
+    worlds, learn_from, first
+):
+    config = small_config(learn_from=learn_from, target=TargetConfig(every=16))
+    shape, copied = shape_of(config), []
+    experience = Experience(shape, worlds, 40, idle=0.0, late=0)
+    agents = fleet(shape, config, [1], worlds=worlds)
+    for tick in range(40):
+        before = agents.target.copy()
+        _, losses = live(agents, experience, range(worlds), start=tick, stop=tick + 1)
+        assert np.isfinite(losses[0, 0]) == (tick >= first)
+        assert agents.agent_state(0)["updates"].item() == max(0, tick - first + 1)
+        if not same_bits(agents.target, before):
+            copied.append(tick)
+    assert copied == [tick for tick in range(40) if worlds * (tick + 1) % 16 == 0]
+
+
+def test_many_worlds_store_their_own_transitions_in_the_order_of_the_worlds():
+    config = small_config(learn_from=60)
+    shape, worlds = shape_of(config), 3
+    experience = Experience(shape, worlds, 15, idle=0.4, late=0)
+    agents = fleet(shape, config, [1], worlds=worlds)
+    actions, _ = live(agents, experience, range(worlds))
+    layout, active = RowLayout(shape.inputs), experience.active
+    assert 15 < active.sum() < 45
+    found = layout.unpack(agents.agent_state(0)["replay"])
+    expected = (
+        experience.observations[active],
+        actions[active],
+        (config.reward_scale * experience.rewards[active]).astype(np.float32),
+        experience.next[active],
+        experience.terminal[active],
+    )
+    for stored, given_field in zip(found, expected, strict=True):
+        np.testing.assert_allclose(stored, given_field, rtol=1e-6)
 
 
 @settings(max_examples=12)

@@ -10,12 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from agent.networks.limits import WEIGHT_LIMIT
-from client_app.input_checks import CHANNEL_LIMIT_DB, RATE_LIMIT, check_received
+from client_app.input_checks import CHANNEL_LIMIT_DB, FEW, RATE_LIMIT, check_received
 from client_app.robots import RobotGroup
 from conf import Config, robot_network
 from env.mdp import reward
 from env.seeding import Stream, stream
 from lockstep import UPDATE, Expect, Flag, Step
+from training.partition import step_layout
 
 CELLS = 48
 ROBOTS = (3, 1)
@@ -108,6 +109,63 @@ def test_only_a_reward_that_is_learned_from_counts(
 ) -> None:
     monkeypatch.setattr(group._slice._rewards, "_local", lambda rate, *_: np.array([0.5, np.nan]))
     assert group.step(received(1, flags=0)) is not None
+
+
+# --- Robots in many worlds ------------------------------------------------------------------------
+
+MANY = {
+    "agent.learn_from": 1,
+    "agent.batch_size": 1,
+    "env.robots": 4,
+    "env.reward.credit": "difference",
+    "env.state.others": 1,
+    "env.state.way": "on",
+}
+
+
+def received_in_worlds(config: Config, tick: int, row: int = 0, **changes: Any) -> Step:
+    """A step for two robots in which one record is changed."""
+    layout = step_layout(config)
+    updates = np.zeros(2 * layout.worlds, layout.record)
+    updates["flags"], updates["rate"], updates["credit"] = LEARNING, 3.0, 2.0
+    updates["channel_db"] = updates["outcome_channel_db"] = -70.0
+    for name, value in changes.items():
+        updates[name][row] = value
+    return Step(tick, 1, Expect.ACTIONS, updates)
+
+
+@pytest.mark.parametrize("worlds", [3, 20])
+@pytest.mark.parametrize(
+    ("change", "shown"),
+    [
+        ({"rate": np.nan}, r"robot {} received what cannot be .*rate=nan[,)]"),
+        ({"rate": 2 * RATE_LIMIT}, r"robot {} received what cannot be .*rate=2048[,)]"),
+        ({"cell": CELLS}, r"robot {} received what cannot be .*cell=48[,)]"),
+        ({"outcome_cell": -1}, r"robot {} received what cannot be .*outcome_cell=-1[,)]"),
+        ({"channel_db": np.inf}, r"robot {} received what cannot be .*channel_db=inf[,)]"),
+        ({"outcome_channel_db": np.nan}, r"robot {} received what cannot be .*channel_db=nan[,)]"),
+        ({"broadcast": np.nan}, "a broadcast to robot {} is nan"),
+        ({"outcome_broadcast": np.inf}, "a broadcast to robot {} is inf"),
+        ({"credit": -np.inf}, "the reward of robot {} is -inf"),
+        ({"credit": np.nan}, "the reward of robot {} is nan"),
+    ],
+)
+def test_one_bad_record_of_many_is_named_by_its_robot_and_not_learned_from(
+    tiny: Callable[..., Config], worlds: int, change: dict[str, Any], shown: str
+) -> None:
+    config = tiny({**MANY, "train.worlds": worlds})
+    assert (2 * worlds > FEW) == (worlds == 20)
+    first = robot_network(config).initial_weights(stream(0, Stream.WEIGHTS))
+    group = RobotGroup(config, ROBOTS)
+    group.download(0, np.stack([first, first]))
+    group.step(received_in_worlds(config, 0))
+    before = group.upload()
+    for row, robot in ((worlds - 1, 3), (worlds, 1), (2 * worlds - 2, 1)):
+        with pytest.raises(ValueError, match="tick 7: " + shown.format(robot)):
+            group.step(received_in_worlds(config, 7, row, **change))
+    np.testing.assert_array_equal(group.upload(), before)
+    assert group.step(received_in_worlds(config, 8)).shape == (2 * worlds,)
+    assert (group.upload() != before).any(axis=(1, 2)).all()
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from flwr.app import ConfigRecord
 from numpy.typing import NDArray
 
+from agent.replay.uniform import RowLayout
 from client_app.app import RoundConfig
 from client_app.robots import RobotGroup
 from client_app.state import load_state, save_state
@@ -18,6 +19,7 @@ from env.seeding import Stream, stream
 from lockstep import UPDATE, Expect, Flag, Step
 from storage.checkpoint_files import CheckpointError, checkpoints
 from storage.checkpoint_layout import robot_folder
+from training.partition import step_layout
 
 Tiny = Callable[..., Config]
 
@@ -98,6 +100,21 @@ def test_robots_without_an_outcome_learn_nothing(make_group: Callable[..., Robot
     group.step(received(13, Expect.WEIGHTS, [Flag.DRIVING | Flag.OUTCOME, 0, Flag.DRIVING]))
     changed = (group.upload()[:, 0] != before[:, 0]).any(axis=1)
     assert changed.tolist() == [True, False, False]
+
+
+def test_a_broadcast_alone_may_tell_the_outcome_from_the_next_start(tiny: Tiny) -> None:
+    """A robot that begins anew in the cell that it reached has others around it."""
+    config = tiny({"env.state.others": 1, "train.worlds": 2})
+    group, layout = RobotGroup(config, (1,)), step_layout(config)
+    updates = np.zeros(2, layout.record)
+    updates["flags"] = int(Flag.OUTCOME | Flag.DRIVING)
+    updates["cell"] = updates["outcome_cell"] = 5
+    updates["channel_db"] = updates["outcome_channel_db"] = -70.0
+    updates["outcome_broadcast"] = np.arange(2 * layout.broadcast).reshape(2, -1)
+    group.step(Step(1, 1, Expect.ACTIONS, updates))
+    rows = RowLayout(robot_network(config).inputs).unpack(group.agents.agent_state(0)["replay"])
+    heard = rows[3][:, -layout.broadcast :]
+    np.testing.assert_array_equal(heard, updates["outcome_broadcast"])
 
 
 def test_learning_begins_with_enough_transitions(

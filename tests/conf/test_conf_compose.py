@@ -64,6 +64,15 @@ MISTAKES = [
     (["baseline=centralized", "runtime=simulation"], "runtime.name=simulation: allowed is local"),
     (["baseline=branching", "strategy=krum"], "strategy.name=krum: allowed is none with "),
     (["baseline=branching", "scheme.phase=fixed"], "scheme.phase=fixed: allowed is learned with "),
+    (
+        ["baseline=branching", "env.state.order=gain"],
+        "env.state.order=gain: allowed is index with scheme.agents=branching: it acts for robots by"
+        " their index",
+    ),
+    (
+        ["baseline=centralized", "env.robots=2", "env.state.order=gain"],
+        "env.state.order=gain: allowed is index with scheme.agents=centralized",
+    ),
     (["baseline=branching", "agent.n_step=3"], "agent.n_step=3: allowed is 1 with scheme.agents="),
     (["baseline=branching", "agent.dueling=true"], "agent.dueling=True: allowed is false with "),
     (["baseline=branching", "agent.priority.alpha=.5"], "agent.priority.alpha=0.5: allowed is 0"),

@@ -89,7 +89,7 @@ def test_a_number_that_is_not_finite_is_refused(key, value):
         ("env.channel.frequency_ghz", 0.0, "a number above 0"),
         ("env.noise.bandwidth_hz", 0.0, "a number above 0"),
         ("env.map_seed", -1, "a number of at least 0"),
-        ("env.state.others", -1, "from 0 to 63"),
+        ("env.state.others", -1, "a number from 0 to 63"),
         ("env.motion.energy_per_m_j", -1.0, "a number of at least 0"),
         ("env.motion.antenna_height_m", -1.0, "a number of at least 0"),
         ("env.tasks.destination_spacing_m", -1.0, "a number of at least 0"),

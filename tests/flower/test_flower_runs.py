@@ -14,6 +14,7 @@ import sysconfig
 import uuid
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -47,8 +48,19 @@ ELSEWHERE = {
     "FLWR_OIDC_ENABLED": "1",
 }
 LENGTH = ("train.max_ticks=150", "federation.every=25")
+MANY = (
+    "train.worlds=4",
+    "env.reward.credit=difference",
+    "env.reward.weights=objective",
+    "env.state.others=1",
+    "env.state.way=on",
+    "env.state.weights=true",
+    "env.state.order=gain",
+)
+"""Worlds, credit and broadcasts: all that makes frames longer."""
 
 Train = Callable[..., int]
+Expected = Callable[..., dict[str, str]]
 
 
 @pytest.fixture
@@ -88,12 +100,15 @@ def train(tmp_path: Path, tiny_overrides: Sequence[str], monkeypatch: pytest.Mon
 
 
 @pytest.fixture(scope="module")
-def expected(
-    tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, str]:
-    """The digests of the tiny task in one process."""
-    folder = tmp_path_factory.mktemp("local") / "run"
-    return digests_in_one_process(tiny_overrides, folder, *LENGTH)
+def expected(tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory) -> Expected:
+    """The digests of the tiny task in one process, with changes."""
+
+    @cache
+    def of(*changes: str) -> dict[str, str]:
+        folder = tmp_path_factory.mktemp("local") / "run"
+        return digests_in_one_process(tiny_overrides, folder, *LENGTH, *changes)
+
+    return of
 
 
 # --- The same bits --------------------------------------------------------------------------------
@@ -101,28 +116,31 @@ def expected(
 
 @pytest.mark.flower
 @pytest.mark.parametrize(
-    ("clients", "per_round"), [(3, 1), pytest.param(2, "null", marks=pytest.mark.slow)]
+    ("clients", "per_round", "task"),
+    [(3, 1, MANY), pytest.param(2, "null", (), marks=pytest.mark.slow)],
+    ids=["many_worlds", "two_clients"],
 )
 def test_the_simulation_ends_in_the_bits_of_one_process(
     tmp_path: Path,
     train: Train,
-    expected: dict[str, str],
+    expected: Expected,
     sessions: list[Session],
     capsys: pytest.CaptureFixture[str],
     clients: int,
     per_round: int | str,
+    task: Sequence[str],
 ) -> None:
     changes = [f"federation.clients={clients}", f"federation.windows_per_round={per_round}"]
-    status = train("run", "runtime=simulation", *changes)
+    status = train("run", "runtime=simulation", *changes, *task)
     said = capsys.readouterr()
     assert status == 0, said.err
     found = summary(tmp_path / "run")
-    assert found["digest"] == expected
+    assert found["digest"] == expected(*task)
     assert (found["runtime"], found["ticks"], found["windows"]) == ("simulation", 150, 6)
     assert found["flower_share"] > 0
     assert found["costs"]["bytes_to_robots"] > 0
     arrays = load_file(tmp_path / "run" / "weights.safetensors")
-    assert digest(arrays["robots"]) == expected["robots"]
+    assert digest(arrays["robots"]) == expected(*task)["robots"]
     assert state_of(tmp_path / "run") == "done"
     assert "last 5 in training" in said.out
     assert (tmp_path / "run" / "flower.log").stat().st_size > 0
@@ -136,13 +154,14 @@ def test_the_simulation_ends_in_the_bits_of_one_process(
         ["runtime.secure=true"],
         pytest.param(["federation.clients=1"], marks=pytest.mark.slow),
         pytest.param(["federation.windows_per_round=3"], marks=pytest.mark.slow),
+        pytest.param(["federation.clients=2", *MANY], marks=pytest.mark.slow),
     ],
-    ids=["secure", "one_client", "two_rounds"],
+    ids=["secure", "one_client", "two_rounds", "many_worlds"],
 )
 def test_a_deployment_ends_in_the_bits_of_one_process(
     tmp_path: Path,
     train: Train,
-    expected: dict[str, str],
+    expected: Expected,
     sessions: list[Session],
     capsys: pytest.CaptureFixture[str],
     changes: list[str],
@@ -150,9 +169,10 @@ def test_a_deployment_ends_in_the_bits_of_one_process(
     status = train("run", "runtime=deployment", *changes)
     assert status == 0, capsys.readouterr().err
     found = summary(tmp_path / "run")
-    assert found["digest"] == expected
+    task = [change for change in changes if change in MANY]
+    assert found["digest"] == expected(*task)
     assert (found["runtime"], found["windows"], found["losses"]) == ("deployment", 6, [])
-    clients = 1 if changes == ["federation.clients=1"] else 3
+    clients = {"federation.clients=1": 1, "federation.clients=2": 2}.get(changes[0], 3)
     assert len(found["clients"]) == clients
     assert all(client["cpu_s"] > 0 for client in found["clients"])
     log = (tmp_path / "run" / "flower.log").read_text(errors="replace")
@@ -285,7 +305,7 @@ def flwr_home(tmp_path: Path) -> Iterator[dict[str, str]]:
 def test_flowers_own_command_ends_in_the_same_bits(
     tmp_path: Path,
     tiny_overrides: Sequence[str],
-    expected: dict[str, str],
+    expected: Expected,
     flwr_home: dict[str, str],
     project: Path,
 ) -> None:
@@ -306,7 +326,7 @@ def test_flowers_own_command_ends_in_the_same_bits(
     assert told.returncode == 0, told.stdout + told.stderr
     wait_until(lambda: state_of(folder) in ("done", "failed"))
     assert state_of(folder) == "done", (folder / "progress.json").read_text()
-    assert summary(folder)["digest"] == expected
+    assert summary(folder)["digest"] == expected()
 
 
 @pytest.fixture

@@ -23,7 +23,8 @@ class Link:
         return self.server
 
     def client(self, block, fail_at=None, **changes):
-        client = Client(self.server, Recorder(block, fail_at), **changes)
+        same = {"layout": self.options["layout"]} if "layout" in self.options else {}
+        client = Client(self.server, Recorder(block, fail_at), **same | changes)
         self.opened.append(client.join)
         return client
 

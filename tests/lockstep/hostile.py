@@ -6,20 +6,27 @@ import typing
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from link_helpers import PARAMETERS, SHAPE, token
+from link_helpers import PARAMETERS, SHAPE, WIDE, token
 
 from lockstep import frames
 from lockstep.errors import FrameError
-from lockstep.messages import UPDATE, VERSION, Expect, Hello, Step, Weights
+from lockstep.messages import PLAIN, VERSION, Expect, Hello, Step, Weights
 from lockstep.wire_format import BODY_LIMITS, HEADER, MAGIC, Kind
 
 _NUMBERS = st.integers(0, 12) | st.integers(-1, 2**64)
 _TEXTS = st.text(st.sampled_from("aZ0 \n\0\x1b\u00e9\u20ac\ud800\U0001f916"), max_size=40)
-_RECORDS = st.integers(0, 5).flatmap(
-    lambda n: st.binary(min_size=n * UPDATE.itemsize, max_size=n * UPDATE.itemsize).map(
-        lambda data: np.frombuffer(data, UPDATE)
-    )
-)
+LAYOUTS = (PLAIN, WIDE)
+
+
+def _records(count, record):
+    """So many records of any bytes."""
+    size = count * record.itemsize
+    return st.binary(min_size=size, max_size=size).map(lambda data: np.frombuffer(data, record))
+
+
+_RECORDS = st.builds(
+    _records, st.integers(0, 5), st.sampled_from([layout.record for layout in LAYOUTS])
+).flatmap(lambda records: records)
 _SHAPES = st.sampled_from([SHAPE, (1, *SHAPE), (3, *SHAPE)]) | hnp.array_shapes(max_side=4)
 _BITS = {
     "i": st.integers(-(2**31), 2**31 - 1),
@@ -128,9 +135,10 @@ scripts = st.lists(pieces, max_size=4)
 """What a peer sends, piece by piece."""
 
 
-def good_conversation():
+def good_conversation(layout=PLAIN):
     """What a server says to the one robot that it leads through a window, frame by frame."""
-    records, model = np.zeros(1, UPDATE), np.zeros((2, PARAMETERS), np.float32)
+    records = np.zeros(layout.worlds, layout.record)
+    model = np.zeros((2, PARAMETERS), np.float32)
     return [
         Step(0, 1, Expect.ACTIONS, records),
         Step(1, 1, Expect.WEIGHTS, records),

@@ -8,12 +8,14 @@ import numpy as np
 from lockstep.client import serve
 from lockstep.frame_stream import FrameStream
 from lockstep.frames import encode
-from lockstep.messages import UPDATE, VERSION, Expect, Flag, Hello
+from lockstep.messages import PLAIN, VERSION, Expect, Flag, Hello, Layout
 from lockstep.wire_format import TEXT_SIZE
 
 PARAMETERS = 11
 SHAPE = (2, PARAMETERS)
 PATIENCE_S = 60.0
+WIDE = Layout(worlds=3, broadcast=2, credit=True)
+"""Records with all that they may carry."""
 
 
 def token(robot):
@@ -119,12 +121,12 @@ class RawClient:
         self.sock.close()
 
 
-def updates(count, tick):
-    """Records that differ in every field, with one robot in five not driving."""
-    rng = np.random.default_rng(tick)
-    result = np.frombuffer(rng.bytes(count * UPDATE.itemsize), UPDATE).copy()
-    result["cell"] = rng.integers(3600, size=count)
-    result["flags"] = np.where(rng.random(count) < 0.8, Flag.DRIVING | Flag.OUTCOME, Flag.ARRIVED)
+def updates(count, tick, layout=PLAIN):
+    """Records that differ in every field, with one robot in five not driving in a world."""
+    rng, rows = np.random.default_rng(tick), count * layout.worlds
+    result = np.frombuffer(rng.bytes(rows * layout.record.itemsize), layout.record).copy()
+    result["cell"] = rng.integers(3600, size=rows)
+    result["flags"] = np.where(rng.random(rows) < 0.8, Flag.DRIVING | Flag.OUTCOME, Flag.ARRIVED)
     return result
 
 
@@ -134,22 +136,26 @@ def ask(fleet, robots, tick):
     return fleet.actions(tick)
 
 
-def drive(fleet, robots, ticks=12, every=4):
+def drive(fleet, robots, ticks=12, every=4, layout=PLAIN):
     """A run in small: windows of `every` ticks, the last of which ends with a farewell."""
     seen = []
     window = 1
-    fleet.send_step(0, window, Expect.ACTIONS, updates(robots, 0))
+
+    def send(tick, expect):
+        fleet.send_step(tick, window, expect, updates(robots, tick, layout))
+
+    send(0, Expect.ACTIONS)
     for tick in range(1, ticks + 1):
         seen.append(fleet.actions(tick - 1))
         if tick == ticks:
-            fleet.send_step(tick, window, Expect.END_ROUND, updates(robots, tick))
+            send(tick, Expect.END_ROUND)
         elif tick % every == 0:
-            fleet.send_step(tick, window, Expect.WEIGHTS, updates(robots, tick))
+            send(tick, Expect.WEIGHTS)
             seen.append(fleet.upload(window))
             if window != 1:  # the first time nothing comes back, as with the strategy `none`
                 fleet.download(window, seen[-1].mean(axis=0, dtype=np.float32))
             window += 1
-            fleet.send_step(tick, window, Expect.ACTIONS, updates(robots, tick))
+            send(tick, Expect.ACTIONS)
         else:
-            fleet.send_step(tick, window, Expect.ACTIONS, updates(robots, tick))
+            send(tick, Expect.ACTIONS)
     return seen

@@ -10,7 +10,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from link_helpers import PARAMETERS, PATIENCE_S, SHAPE, Client, Recorder, ask, drive, token, updates
+from link_helpers import (
+    PARAMETERS,
+    PATIENCE_S,
+    SHAPE,
+    WIDE,
+    Client,
+    Recorder,
+    ask,
+    drive,
+    token,
+    updates,
+)
 
 from lockstep.client import serve
 from lockstep.errors import (
@@ -24,24 +35,36 @@ from lockstep.errors import (
 )
 from lockstep.frames import decode, encode
 from lockstep.local import LocalFleet
-from lockstep.messages import UPDATE, Actions, Expect, Failure, Step, Weights, Welcome
+from lockstep.messages import (
+    PLAIN,
+    UPDATE,
+    Actions,
+    Expect,
+    Failure,
+    Layout,
+    Step,
+    Weights,
+    Welcome,
+)
 from lockstep.server import LinkServer
 
 BLOCKS = [(0,), (1, 2), (3,)]
 SCATTERED = [(3, 1), (0,), (2,)]
 
 
-def local(blocks, fail_at=None):
+def local(blocks, fail_at=None, layout=PLAIN):
     handlers = [Recorder(block, fail_at if block == blocks[0] else None) for block in blocks]
-    return handlers, LocalFleet([(handler.block, handler) for handler in handlers])
+    return handlers, LocalFleet([(handler.block, handler) for handler in handlers], layout)
 
 
+@pytest.mark.parametrize("layout", [PLAIN, Layout(worlds=2), WIDE], ids=["plain", "worlds", "wide"])
 @pytest.mark.parametrize("blocks", [BLOCKS, SCATTERED, [(0, 1, 2, 3)]])
-def test_local_and_tcp_hold_the_same_conversation(link, blocks):
-    handlers, fleet = local(blocks)
-    here = drive(fleet, 4)
+def test_local_and_tcp_hold_the_same_conversation(make_link, blocks, layout):
+    handlers, fleet = local(blocks, layout=layout)
+    here = drive(fleet, 4, layout=layout)
+    link = make_link(layout=layout)
     clients = link.connected(*blocks)
-    there = drive(link.server, 4)
+    there = drive(link.server, 4, layout=layout)
     assert [client.join() for client in clients] == [None] * len(blocks)
     assert len(here) == len(there) == 14
     for mine, other in zip(here, there, strict=True):
@@ -58,6 +81,41 @@ def test_each_robot_gets_its_own_record_and_its_answer_comes_back_in_robot_order
     link.server.send_step(5, 2, Expect.ACTIONS, records)
     assert link.server.actions(5).tolist() == (records["cell"] % 24).tolist()
     assert clients[0].handler.kept.tobytes() == records[[3, 1]].tobytes()
+
+
+def test_each_robot_gets_its_records_of_all_worlds_and_answers_for_each(make_link):
+    link = make_link(layout=WIDE)
+    clients = link.connected(*SCATTERED)
+    records = updates(4, 5, WIDE)
+    link.server.send_step(5, 2, Expect.ACTIONS, records)
+    driving = (records["flags"] & 4) != 0
+    expected = np.where(driving, records["cell"] % 24, -1)
+    np.testing.assert_array_equal(link.server.actions(5), expected)
+    rows = [9, 10, 11, 3, 4, 5]
+    assert clients[0].handler.kept.tobytes() == records[rows].tobytes()
+    np.testing.assert_array_equal(clients[0].handler.kept["credit"], records["credit"][rows])
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        Layout(worlds=2, broadcast=2, credit=True),
+        Layout(worlds=3, broadcast=2),
+        Layout(worlds=3, broadcast=1, credit=True),
+        PLAIN,
+    ],
+)
+def test_a_client_takes_no_step_of_another_layout(make_link, other):
+    link = make_link(layout=WIDE)
+    link.admit((0,), (1,))
+    wrong, right = link.client((0,), layout=other), link.client((1,))
+    link.server.wait_connected(PATIENCE_S)
+    link.server.send_step(0, 1, Expect.ACTIONS, updates(2, 0, WIDE))
+    with pytest.raises(RobotFailed, match=r"robot 0 failed .* FrameError: .* records"):
+        link.server.actions(0)
+    assert isinstance(wrong.join(), FrameError)
+    link.server.close()
+    assert isinstance(right.join(), ServerLost)
 
 
 @pytest.mark.parametrize("where", ["local", "tcp"])

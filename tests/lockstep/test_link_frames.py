@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -21,6 +21,7 @@ from lockstep.messages import (
     Expect,
     Failure,
     Hello,
+    Layout,
     Rejection,
     Step,
     Weights,
@@ -43,11 +44,13 @@ windows = st.integers(0, 2**32 - 1)
 lines = st.text(st.characters(categories=["L", "N", "P"]), max_size=300)
 
 
+layouts = st.builds(Layout, st.integers(1, 4), st.integers(0, 6), st.booleans())
+
+
 @st.composite
-def steps(draw):
-    count = draw(counts)
-    records = np.frombuffer(draw(st.binary(min_size=26 * count, max_size=26 * count)), UPDATE)
-    records = records.copy()
+def steps(draw, layout=PLAIN):
+    size = draw(counts) * layout.worlds * layout.record.itemsize
+    records = np.frombuffer(draw(st.binary(min_size=size, max_size=size)), layout.record).copy()
     records["flags"] &= 7
     return Step(draw(ticks), draw(windows), draw(st.sampled_from(Expect)), records)
 
@@ -94,8 +97,58 @@ def test_frames_have_the_announced_sizes():
     step = Step(1, 1, Expect.ACTIONS, np.zeros(3, UPDATE))
     assert len(encode(step)) == step_size(3, PLAIN)
     assert len(encode(Actions(1, np.zeros(3, np.int32)))) == actions_size(3, PLAIN)
+    assert len(encode(Actions(1, np.zeros(6, np.int32)))) == actions_size(3, Layout(worlds=2))
     assert len(encode(Weights(1, np.zeros((3, 2, 5), np.float32)))) == weights_size((3, 2, 5))
     assert UPDATE.itemsize == 26
+
+
+def test_the_layout_of_a_record_by_hand():
+    record = Layout(worlds=3, broadcast=2, credit=True).record
+    names = (*UPDATE.names, "credit", "outcome_broadcast", "broadcast")
+    assert record.names == names
+    assert {name: record.fields[name][1] for name in names[6:]} == {
+        "credit": 26,
+        "outcome_broadcast": 34,
+        "broadcast": 42,
+    }
+    assert record.itemsize == 50
+    assert Layout(credit=True).record.itemsize == 34
+    assert Layout(broadcast=5).record.itemsize == 66
+    assert Layout(worlds=7).record == UPDATE
+
+
+def test_rows_of_a_block_are_its_robots_worlds_side_by_side():
+    layout = Layout(worlds=3)
+    assert layout.rows_of((2, 3)) == slice(6, 12)
+    assert list(layout.rows_of((2, 0))) == [6, 7, 8, 0, 1, 2]
+    assert PLAIN.rows_of((1,)) == slice(1, 2)
+
+
+@given(layouts, st.data())
+def test_a_step_of_any_layout_comes_out_of_its_frame_as_it_went_in(layout, data):
+    step = data.draw(steps(layout))
+    frame = encode(step)
+    robots = len(step.updates) // layout.worlds
+    assert len(frame) == frame_size(memoryview(frame), len(frame)) == step_size(robots, layout)
+    assert plain(decode(frame, layout)) == plain(step)
+
+
+@given(layouts, layouts, st.data())
+def test_records_of_another_size_are_refused(layout, other, data):
+    assume(layout.record.itemsize != other.record.itemsize)
+    with pytest.raises(FrameError, match=r"malformed STEP frame: \d+ bytes are not \d+ records"):
+        decode(encode(data.draw(steps(layout))), other)
+
+
+def test_flags_are_checked_in_every_record_of_a_layout():
+    layout = Layout(worlds=2, broadcast=3, credit=True)
+    for row in range(4):
+        records = np.zeros(4, layout.record)
+        records["broadcast"] = np.nan  # whose bytes are above all flags
+        decode(encode(Step(1, 1, Expect.ACTIONS, records)), layout)
+        records["flags"][row] = 8
+        with pytest.raises(FrameError, match="unknown flags"):
+            decode(encode(Step(1, 1, Expect.ACTIONS, records)), layout)
 
 
 @given(st.binary(max_size=200))

@@ -14,7 +14,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hostile import MESSAGE_TYPES, good_conversation, messages_of, pieces, scripts, valid_frames
+from hostile import (
+    LAYOUTS,
+    MESSAGE_TYPES,
+    good_conversation,
+    messages_of,
+    pieces,
+    scripts,
+    valid_frames,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from link_helpers import (
@@ -35,7 +43,7 @@ from lockstep.errors import FrameError, LinkError, LinkTimeout, RobotFailed, Rob
 from lockstep.frame_stream import FrameStream
 from lockstep.frames import decode, encode
 from lockstep.local import LocalFleet
-from lockstep.messages import VERSION, Actions, Expect, Hello, Weights, Welcome
+from lockstep.messages import PLAIN, VERSION, Actions, Expect, Hello, Weights, Welcome
 from lockstep.server import LinkServer
 from lockstep.tls import client_context, server_context
 from lockstep.wire_format import HEADER, Kind
@@ -56,13 +64,13 @@ def test_the_fuzzers_know_every_kind_of_frame():
         messages_of(message_type).validate()
 
 
-@given(pieces)
-def test_a_frame_is_refused_or_says_the_same_when_sent_on(data):
+@given(pieces, st.sampled_from(LAYOUTS))
+def test_a_frame_is_refused_or_says_the_same_when_sent_on(data, layout):
     try:
-        frame = encode(decode(data))
+        frame = encode(decode(data, layout))
     except FrameError:
         return
-    assert encode(decode(frame)) == frame
+    assert encode(decode(frame, layout)) == frame
 
 
 @pytest.mark.parametrize("filler", [b"[", b'{"a":', b"1", b"[[],", b'"\\u00e9', b"\xff\xfe", b"{}"])
@@ -365,9 +373,9 @@ class HostileServer:
                 while sock.recv(65536):
                     pass
 
-    def meet(self):
+    def meet(self, layout=PLAIN):
         """What a client of robot 0 makes of it: None, or an error of the link."""
-        client = Client(self, Recorder((0,)))
+        client = Client(self, Recorder((0,)), layout=layout)
         error = client.join()
         self._thread.join(PATIENCE_S)
         assert not self._thread.is_alive()
@@ -376,10 +384,10 @@ class HostileServer:
 
 
 @run_often
-@given(st.integers(0, 5), scripts)
-def test_whatever_a_server_says_the_client_ends_with_an_error_of_the_link(sound, script):
-    sound_frames = [encode(message) for message in [Welcome(), *good_conversation()]]
-    HostileServer(b"".join([*sound_frames[:sound], *script])).meet()
+@given(st.integers(0, 5), scripts, st.sampled_from(LAYOUTS))
+def test_whatever_a_server_says_the_client_ends_with_an_error_of_the_link(sound, script, layout):
+    sound_frames = [encode(message) for message in [Welcome(), *good_conversation(layout)]]
+    HostileServer(b"".join([*sound_frames[:sound], *script])).meet(layout)
 
 
 @pytest.mark.parametrize(

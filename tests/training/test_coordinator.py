@@ -7,21 +7,25 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from agent.replay.uniform import RowLayout
+from client_app.robots import RobotGroup
 from client_app.state import CheckpointedRobots
 from conf import Config, robot_network
 from env.mdp.actions import ActionSpace
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import StepResult, World
+from experiments.runtimes.local import InProcessFleet
 from lockstep import Expect, LinkServer, ServerLost, serve
 from lockstep.messages import Flag
 from training.aggregation.strategies import build_aggregator
+from training.controllers.access_point import AccessPoint
 from training.coordinator import Coordinator
 from training.partition import step_layout
 
@@ -448,23 +452,48 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others(
     assert (drifts > 1e-3).all()
 
 
-@pytest.mark.parametrize(("strategy", "worlds"), [("fedavg", 1), ("none", 1), ("fedavg", 3)])
-def test_grouping_changes_no_bit(
-    tiny: Tiny, play: Callable[..., Any], strategy: str, worlds: int
-) -> None:
-    changes = {"strategy.name": strategy, "train.max_ticks": 200, "train.worlds": worlds}
-    config = tiny(changes)
+SERVING: dict[str, Any] = {
+    "env.reward.credit": "difference",
+    "env.reward.weights": "objective",
+    "env.state.others": 1,
+    "env.state.way": "on",
+    "env.state.order": "gain",
+}
+GROUPED: dict[str, dict[str, Any]] = {
+    "fedavg": {},
+    "none": {"strategy.name": "none"},
+    "worlds": {"train.worlds": 3},
+    "credit": SERVING,
+    "worlds_credit": {"train.worlds": 3, **SERVING},
+}
+
+
+@pytest.mark.parametrize("variant", GROUPED)
+def test_grouping_changes_no_bit(tiny: Tiny, play: Callable[..., Any], variant: str) -> None:
+    config = tiny({"train.max_ticks": 200, **GROUPED[variant]})
     found = {play(config, blocks).digests for blocks in BLOCKS}
     assert len(found) == 1
 
 
-@pytest.mark.parametrize(
-    ("power", "worlds"), [("robots", 1), ("ap", 1), ("search", 1), ("search", 3)]
-)
-def test_sockets_change_no_bit(
-    tiny: Tiny, play: Callable[..., Any], power: str, worlds: int
+def test_each_of_the_groupings_trains_to_weights_of_its_own(
+    tiny: Tiny, play: Callable[..., Any]
 ) -> None:
-    config = tiny({"train.max_ticks": 200, "scheme.power": power, "train.worlds": worlds})
+    ends = [play(tiny({"train.max_ticks": 60, **each})).digests for each in GROUPED.values()]
+    assert len({robots for robots, _ in ends}) == len(GROUPED)
+
+
+CARRIED: dict[str, dict[str, Any]] = {
+    "robots": {},
+    "ap": {"scheme.power": "ap"},
+    "search": {"scheme.power": "search"},
+    "worlds_search": {"scheme.power": "search", "train.worlds": 3},
+    "worlds_credit": {"train.worlds": 3, **SERVING},
+}
+
+
+@pytest.mark.parametrize("variant", CARRIED)
+def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any], variant: str) -> None:
+    config = tiny({"train.max_ticks": 200, **CARRIED[variant]})
     expected = play(config).digests
     for blocks in BLOCKS[1:]:
         played, raised = over_tcp(config, blocks, play)
@@ -481,6 +510,72 @@ def test_each_world_plays_its_own_episodes(tiny: Tiny, play: Callable[..., Any])
     assert len(ends) >= 9
     assert ends == sorted(ends)
     assert len({*ends}) > 3
+
+
+class Slot(NamedTuple):
+    """What a world says of a slot: states before and after it, and what was done and came of it."""
+
+    seen: NDArray[np.float32]
+    direction: NDArray[np.int64]
+    level: NDArray[np.int64]
+    outcome: StepResult
+    reached: NDArray[np.float32]
+
+
+class RecordedWorld(World):
+    """Worlds that keep what they say of every slot."""
+
+    def __init__(self, config: Config) -> None:
+        scenario = Scenario.drawn(config.env, config.seed)
+        super().__init__(scenario, stream(config.seed, Stream.WORLD), config.train.worlds)
+        self.slots: list[Slot] = []
+
+    def step(self, phase_action: Any, direction: Any, level: Any) -> StepResult:
+        seen = self.local_observations().copy()
+        outcome = super().step(phase_action, direction, level)
+        reached = self.local_observations().copy()
+        self.slots.append(Slot(seen, direction.copy(), level.copy(), outcome, reached))
+        return outcome
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, SERVING, {"env.channel.fading": "slot", **SERVING}],
+    ids=["plain", "all", "fading"],
+)
+def test_robots_learn_from_what_each_world_says(tiny: Tiny, changes: dict[str, Any]) -> None:
+    """Their replays hold it, also where one world's episode ends while others go on."""
+    many = {"train.worlds": 3, "agent.replay_size": 1000, "env.motion.max_slots": 60}
+    config = tiny({"train.max_ticks": 200, **many, **changes})
+    first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
+    initial = np.stack([first, first])
+    group, world = RobotGroup(config, (0, 1, 2)), RecordedWorld(config)
+    group.download(0, initial)
+    fleet = InProcessFleet([((0, 1, 2), group)], step_layout(config))
+    aggregator = build_aggregator(config.strategy, config.env.robots)
+    run = Coordinator(config, world, AccessPoint(config), fleet, aggregator, Observed([]))
+    run.run(initial)
+    over = np.array([slot.outcome.terminated | slot.outcome.truncated for slot in world.slots])
+    assert over.shape == (200, 3)
+    assert (over.any(axis=1) & ~over.all(axis=1)).sum() >= 4
+    assert any(slot.outcome.terminated.any() for slot in world.slots)
+    layout, space = RowLayout(robot_network(config).inputs), ActionSpace.from_config(config.env)
+    for robot in range(3):
+        told = [
+            (
+                slot.seen[each, robot],
+                space.encode(slot.direction, slot.level)[each, robot],
+                np.float32(config.agent.reward_scale * slot.outcome.local_reward[each, robot]),
+                slot.reached[each, robot],
+                slot.outcome.arrived[each, robot],
+            )
+            for slot in world.slots
+            for each in np.flatnonzero(slot.outcome.drove[:, robot])
+        ]
+        stored = layout.unpack(group.agents.agent_state(robot)["replay"])
+        assert 300 < len(told) < 600
+        for expected, found in zip(zip(*told, strict=True), stored, strict=True):
+            np.testing.assert_array_equal(found, np.array(expected))
 
 
 # --- Strategies -----------------------------------------------------------------------------------

@@ -33,6 +33,14 @@ EVERY_OPTION = (
     "agent.double=true",
     "agent.priority.alpha=0.6",
 )
+SERVING = (
+    "env.reward.credit=difference",
+    "env.reward.weights=objective",
+    "env.state.others=1",
+    "env.state.way=on",
+    "env.state.weights=true",
+    "env.state.order=gain",
+)
 CHANGES = ("train.max_ticks=120", "state.every=3", "evaluation.every=2", "evaluation.episodes=2")
 
 
@@ -292,6 +300,13 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         ["strategy=fedavgm"],
         ["baseline=centralized", "env.robots=2", *EVERY_OPTION],
         slow(["baseline=branching", "agent.updates=2", *FALLING]),
+        ["train.worlds=3", "strategy=fedavgm", *SERVING],
+        ["train.worlds=2", "env.channel.fading=slot", *EVERY_OPTION],
+        slow(["train.worlds=3", "agent.n_step=2"]),
+        slow(["train.worlds=3", "agent.priority.alpha=0.6"]),
+        slow(["train.worlds=2", "env.channel.fading=slot", "scheme.power=search"]),
+        ["baseline=centralized", "env.robots=2", "train.worlds=2", "agent.n_step=2"],
+        ["baseline=branching", "train.worlds=2", "env.channel.fading=slot"],
     ],
 )
 def test_other_worlds_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:

@@ -24,14 +24,23 @@ with atheris.instrument_imports(include=["lockstep", "json"]):
     import json.scanner
 
     import numpy as np
-    from link_helpers import PARAMETERS, SHAPE, Recorder, token, updates
+    from link_helpers import PARAMETERS, SHAPE, WIDE, Recorder, token, updates
 
     from lockstep.acceptor import RoundCredentials
     from lockstep.client import serve
     from lockstep.errors import FrameError, LinkError, RobotFailed, RobotLost
     from lockstep.frame_stream import FrameStream
     from lockstep.frames import decode, encode
-    from lockstep.messages import UPDATE, VERSION, Actions, Expect, Hello, Step, Weights, Welcome
+    from lockstep.messages import (
+        PLAIN,
+        VERSION,
+        Actions,
+        Expect,
+        Hello,
+        Step,
+        Weights,
+        Welcome,
+    )
     from lockstep.server import LinkServer
     from lockstep.wire_format import HEADER, MAGIC, Kind
 
@@ -41,20 +50,22 @@ json.scanner.make_scanner = json.decoder.scanner.make_scanner = json.scanner.py_
 json._default_decoder = json.JSONDecoder()
 
 ADMISSION = RoundCredentials("v1", ((0,), (1, 2)), {robot: token(robot) for robot in range(3)})
+LAYOUTS = (PLAIN, WIDE)
 TIMEOUT_S = 5.0
 
 
 def codec(data):
     """One frame: refused, or the same again once encoded and decoded."""
-    try:
-        message = decode(data)
-    except FrameError:
-        return
-    if isinstance(message, Hello):
-        reason = ADMISSION.refusal(message)
-        assert reason is None or "secret" not in reason
-    frame = encode(message)
-    assert encode(decode(frame)) == frame
+    for layout in LAYOUTS:
+        try:
+            message = decode(data, layout)
+        except FrameError:
+            continue
+        if isinstance(message, Hello):
+            reason = ADMISSION.refusal(message)
+            assert reason is None or "secret" not in reason
+        frame = encode(message)
+        assert encode(decode(frame, layout)) == frame
 
 
 class _Trickle:
@@ -95,14 +106,17 @@ def _pair():
 
 def client(data):
     """A server says some sound frames and then whatever it likes."""
-    records, model = np.zeros(1, UPDATE), np.zeros((2, PARAMETERS), np.float32)
+    mode = data[0] if data else 0
+    layout = LAYOUTS[mode // 5 % 2]
+    records = np.zeros(layout.worlds, layout.record)
+    model = np.zeros((2, PARAMETERS), np.float32)
     sound = [
         Welcome(),
         Step(0, 1, Expect.ACTIONS, records),
         Step(1, 1, Expect.WEIGHTS, records),
         Weights(1, model),
     ]
-    count = data[0] % (len(sound) + 1) if data else 0
+    count = mode % (len(sound) + 1)
     near, far = _pair()
     with near, far, mock.patch("socket.create_connection", return_value=near):
         far.sendall(b"".join(map(encode, sound[:count])) + data[1:])
@@ -116,6 +130,7 @@ def client(data):
                 fingerprint="v1",
                 timeout_s=TIMEOUT_S,
                 n_parameters=PARAMETERS,
+                layout=layout,
             )
 
 
@@ -155,7 +170,8 @@ def seeds():
             yield HEADER.pack(MAGIC, VERSION, kind, 0, len(body)) + body
     yield encode(Hello(VERSION, "v1", [0], [token(0)]))
     yield encode(Hello(VERSION, "v1", [1, 2], [token(1), token(2)]))
-    yield encode(Step(1, 1, Expect.ACTIONS, updates(2, 0)))
+    for layout in LAYOUTS:
+        yield encode(Step(1, 1, Expect.ACTIONS, updates(1, 0, layout)))
     yield encode(Actions(0, np.array([3], np.int32)))
     yield encode(Weights(1, np.zeros((1, *SHAPE), np.float32)))
     yield encode(Weights(1, np.zeros(SHAPE, np.float32)))
@@ -171,7 +187,7 @@ def main():
     name, corpus = sys.argv.pop(1), Path(sys.argv[1])
     corpus.mkdir(parents=True, exist_ok=True)
     for number, frame in enumerate(seeds()):
-        for mode in range(4) if name in ("client", "server") else [None]:
+        for mode in range(10) if name in ("client", "server") else [None]:
             prefix = b"" if mode is None else bytes([mode])
             (corpus / f"seed-{number}-{mode}").write_bytes(prefix + frame)
     target = targets[name]()
