@@ -115,7 +115,7 @@ def test_the_card_has_a_row_for_all_weights(exported: Path) -> None:
     for name in ("k2", "k3", "k4"):
         assert card.count(f"| {name} | ") == 3  # what it is, how well it plays, its layers
     assert "evaluate results/weights/k2" in card
-    assert "which pick their moves and powers, and of the access" in card
+    assert "robots, which pick their moves and powers, and of the" in card
     assert "{" not in card
 
 
@@ -165,7 +165,7 @@ def test_the_card_says_who_picks_the_powers(reproduced: Path, tiny: Any, tmp_pat
     results = tmp_path / "results"
     assert collect.main([str(reproduced), str(results), "--weights", f"k3-best={run}"]) == 0
     card = (results / "weights" / "README.md").read_text()
-    assert "which pick their moves, and of the access" in card
+    assert "robots, which pick their moves, and of the access" in card
     picks = " ".join(card.split())
     assert "by the robots themselves (k2, k3, k4), or by the access point" in picks
     assert "(k3-best)." in picks
