@@ -12,6 +12,9 @@ from training.run_folder import RunFolder
 
 TICKS_PER_EPISODE = 85
 MS_PER_TICK_AND_ROBOT = 0.5
+WORLDS_AS_DEAR = 16
+"""Further copies of the world that cost as much again."""
+
 COST = {"federated": 1.0, "branching": 0.65, "centralized": 4.0}
 """Processor time of a tick against F-DRL's (docs/baselines.md): which runs are long, no more."""
 
@@ -31,9 +34,11 @@ def folder_of(config: Config) -> Path:
 
 def cost_s(config: Config) -> float:
     """A rough guess of a run's processor time in s."""
-    ticks = config.train.episodes * TICKS_PER_EPISODE
+    worlds = config.train.worlds
+    ticks = config.train.episodes * TICKS_PER_EPISODE / worlds
     ticks = min(ticks, config.train.max_ticks or ticks)
     each_ms = MS_PER_TICK_AND_ROBOT * config.env.robots * COST[config.scheme.agents]
+    each_ms *= 1 + (worlds - 1) / WORLDS_AS_DEAR
     return ticks * each_ms / 1000
 
 

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import fill
 
 import numpy as np
 
 from conf import ap_network, robot_network
 from experiments.reproduce.results.runs import Run
+from training.session import LAST_EVALUATIONS
+
+WIDTH = 100
+"""Of a line of the card."""
 
 TEXT = """# Weights
 
-Policies that are ready to be played: of robots, which pick their moves and powers, and of the
-access point, which sets the phase of the reconfigurable intelligent surface.
+{opening}
 
 ```sh
 .venv/bin/risfleet evaluate results/weights/{first}
@@ -33,8 +37,8 @@ best. They are those after the run's last aggregation: no checkpoint was selecte
 
 Success is the share of robots that arrive, with 5 % random moves and without; the path ratio is
 slots driven over the shortest length; EE is in bit/s/Hz/J. Means over the last five evaluations in
-training, from held-out starts; in brackets the least and the largest of all seeds of the same
-configuration.
+training, or of the final weights where there were fewer, from held-out starts; in brackets the
+least and the largest of all seeds of the same configuration.
 
 | folder | seeds | success, eps = .05 | success, greedy | path ratio | EE |
 |---|---|---|---|---|---|
@@ -94,12 +98,38 @@ def card(players: Sequence[Player]) -> str:
         players: at least one.
     """
     return TEXT.format(
+        opening=_opening(players),
         files=players[0].run.files,
         first=players[0].name,
         what="\n".join(map(_what, players)),
         how_well="\n".join(map(_how_well, players)),
         sizes="\n".join(map(_sizes, players)),
     )
+
+
+OPENING = (
+    "Policies that are ready to be played: of robots, which pick their {own}, and of the access"
+    " point, which sets the phase of the reconfigurable intelligent surface."
+)
+PICKS = {
+    "robots": "by the robots themselves",
+    "ap": "by the access point's policy, with the phase",
+    "search": "by the access point, which searches them in each slot",
+}
+"""Who picks the powers, by ``scheme.power``."""
+
+
+def _opening(players: Sequence[Player]) -> str:
+    """What the policies decide; who picks the powers, where it is not the robots alone."""
+    names: dict[str, list[str]] = {}
+    for player in players:
+        names.setdefault(player.run.config.scheme.power, []).append(player.name)
+    if list(names) == ["robots"]:
+        text = OPENING.format(own="moves and powers")
+    else:
+        told = [f"{PICKS[who]} ({', '.join(of)})" for who, of in names.items()]
+        text = f"{OPENING.format(own='moves')} Powers are picked {', or '.join(told)}."
+    return fill(text, WIDTH)
 
 
 def _what(player: Player) -> str:
@@ -112,17 +142,24 @@ def _what(player: Player) -> str:
 
 def _how_well(player: Player) -> str:
     cells = [player.name, str(len(player.seeds))]
+    explored, greedy = _evaluations(player.run)
     for evaluation, measure, form in (
-        ("last5", "success", ".2f"),
-        ("last5_greedy", "success", ".2f"),
-        ("last5", "path_ratio", ".3f"),
-        ("last5", "ee", ".4f"),
+        (explored, "success", ".2f"),
+        (greedy, "success", ".2f"),
+        (explored, "path_ratio", ".3f"),
+        (explored, "ee", ".4f"),
     ):
         own, *all_ = (
             run.summary["evaluation"][evaluation][measure] for run in (player.run, *player.seeds)
         )
         cells.append(_spread(own, [value for value in all_ if value is not None], form))
     return f"| {' | '.join(cells)} |"
+
+
+def _evaluations(run: Run) -> tuple[str, str]:
+    """Which evaluations of a summary count, with exploration and greedy."""
+    few = len(run.evaluations()["episode"]) < LAST_EVALUATIONS
+    return ("eps05", "greedy") if few else ("last5", "last5_greedy")
 
 
 def _spread(own: float | None, all_: Sequence[float], form: str) -> str:

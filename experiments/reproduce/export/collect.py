@@ -25,16 +25,23 @@ from experiments.reproduce.export import repeat
 from experiments.reproduce.export.card import Player, card
 from experiments.reproduce.results.output import Row
 from experiments.reproduce.results.runs import Run
+from experiments.reproduce.targets import optimality
 from experiments.reproduce.targets.fig3 import FEDERATED
 from experiments.reproduce.targets.plan import TARGETS
 from storage.atomic import write_atomically
 from training.run_folder import RunFolder
 
-WEIGHTS = {f"k{robots}": FEDERATED.format(robots) for robots in (2, 3, 4)}
-"""Folders of weights, and the cells of Fig. 3 whose first seed they are of."""
+WEIGHTS = {
+    **{f"k{robots}": ("fig3", FEDERATED.format(robots)) for robots in (2, 3, 4)},
+    **{
+        f"k{robots}-best": (optimality.TARGET.name, optimality.named(optimality.BEST, robots))
+        for robots in optimality.ROBOTS
+    },
+}
+"""Folders of weights, and the targets and their cells whose first seed they are of."""
 
 SHARED = "planned.csv"
-"""Figures 4 and 5 and the claims add to one file, so only the last manifest knows all of it."""
+"""Several targets add to one file, so only the last manifest knows all of it."""
 
 KEPT = ("seed", "robots", "strategy", "scheme", "versions", "fingerprint", "digest", "ticks")
 KEPT_TOO = ("episodes", "converged", "evaluation")
@@ -127,10 +134,10 @@ def _players(
     manifests: Mapping[str, Manifest], source: Path, others: Mapping[str, Path]
 ) -> list[Player]:
     """The runs whose weights are kept, each with the runs of the other seeds of its cell."""
-    cells = manifests.get("fig3", {"cells": {}})["cells"]
     players = []
-    for name, cell in WEIGHTS.items():
-        if cell in cells:
+    for name, (target, cell) in WEIGHTS.items():
+        cells = manifests.get(target, {"cells": {}})["cells"]
+        if cell in cells and name not in others:
             seeds = cells[cell]["seeds"].values()
             runs = [Run(source / seed["folder"]) for seed in seeds]
             players.append(Player(name, cells[cell]["overrides"], runs[0], runs))

@@ -18,6 +18,7 @@ from rich.progress import track
 
 from agent import single_threaded
 from conf import Config, ConfigError, fingerprint
+from env.config import RewardConfig, StateConfig
 from experiments.analysis.optimality_gap import SLACK
 from experiments.reproduce.results.trace import planned
 from storage.atomic import write_atomically
@@ -35,6 +36,7 @@ COLUMNS = (
     "episodes",
     "slack",
     "ee",
+    "ee_bits_per_joule",
     "sum_rate",
     "min_rate",
     "path_ratio",
@@ -51,6 +53,7 @@ class Planned:
 
     Attributes:
         ee: energy efficiency in bit/s/Hz/J, the objective (5a).
+        ee_bits_per_joule: all bits over all energy, in bit/J.
         sum_rate: in bit/s/Hz.
         min_rate: the least over robots of a robot's mean rate, in bit/s/Hz.
         path_ratio: slots driven over the fewest possible.
@@ -58,10 +61,15 @@ class Planned:
     """
 
     ee: float
+    ee_bits_per_joule: float
     sum_rate: float
     min_rate: float
     path_ratio: float
     gain_db: float
+
+
+MEASURES = tuple(each.name for each in dataclasses.fields(Planned))
+"""Columns that hold what was planned; the last one is not among the measures of episodes."""
 
 
 def planned_values(
@@ -85,7 +93,7 @@ def planned_values(
     """
     keys = [_key(config) for config in configs]
     kept = {_setting(row): row for row in _read(file)}
-    known = {row["key"]: row for row in kept.values()}
+    known = {row["key"]: row for row in kept.values() if all(map(row.get, MEASURES))}
     missing = {k: c for k, c in zip(keys, configs, strict=True) if k not in known}
     try:
         for row in _worked_out(missing, processes or os.cpu_count() or 1):
@@ -93,14 +101,17 @@ def planned_values(
             _write(file, [kept[setting] for setting in sorted(kept)])
     except ValueError as error:
         raise ConfigError(f"{error}.") from error
-    names = [each.name for each in dataclasses.fields(Planned)]
-    return [Planned(*(float(known[key][name]) for name in names)) for key in keys]
+    return [Planned(*(float(known[key][name]) for name in MEASURES)) for key in keys]
 
 
 def _key(config: Config) -> str:
-    """What the values depend on: the environment, the starts, and this version of the program."""
-    env = OmegaConf.to_yaml(OmegaConf.structured(config.env))
-    parts = fingerprint(config.env), env, config.seed, config.evaluation.episodes, SLACK
+    """What the values depend on: the environment, the starts, and this version of the program.
+
+    What agents see and are paid is no part of it: a task is planned once for all who learn it.
+    """
+    task = dataclasses.replace(config.env, state=StateConfig(), reward=RewardConfig())
+    env = OmegaConf.to_yaml(OmegaConf.structured(task))
+    parts = fingerprint(task), env, config.seed, config.evaluation.episodes, SLACK
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()[:16]
 
 
@@ -137,7 +148,7 @@ def _row(config: Config) -> Row:
         "seed": config.seed,
         "episodes": config.evaluation.episodes,
         "slack": SLACK,
-        **{name: found[name] for name in ("ee", "sum_rate", "min_rate", "path_ratio")},
+        **{name: found[name] for name in MEASURES[:-1]},
         "gain_db": drive.gain_db,
     }
     return {name: str(values[name]) for name in COLUMNS}

@@ -10,6 +10,9 @@ import numpy as np
 from experiments.reproduce.results.statistics import Floats, estimate
 
 LEARNED = "learned"
+BEST = "learned, best"
+"""With ``experiment=best``."""
+
 PLANNED = "planned"
 PLANNED_AGAIN = "planned, reallocate"
 """Under OMA, with the parts of robots that have arrived dealt out again."""
@@ -23,7 +26,8 @@ class PointOutcome(NamedTuple):
         side: M_R.
         max_dbm: P_max in dBm.
         access: noma or oma.
-        curve: learned, planned, or planned with the other share of OMA.
+        curve: learned (with the defaults or ``experiment=best``), planned, or planned with the
+            other share of OMA.
         seed: the run's.
         ee: energy efficiency in bit/s/Hz/J, the objective (5a); a robot that does not arrive counts
             with T_max.

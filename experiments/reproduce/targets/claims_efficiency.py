@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from experiments.reproduce.results.points import (
+    BEST,
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
@@ -40,7 +41,7 @@ Pairs = Iterator[tuple[dict[str, str], Floats]]
 
 
 def fig4_claims(found: Sequence[PointOutcome]) -> list[Claim]:
-    """What the paper says of Fig. 4, of learned policies and of planned ones.
+    """What the paper says of Fig. 4, of learned policies, also the best, and of planned ones.
 
     Args:
         found: what every run came to, and what was planned for its starts.
@@ -51,7 +52,7 @@ def fig4_claims(found: Sequence[PointOutcome]) -> list[Claim]:
     by: dict[Of, dict[int, float]] = {}
     for each in found:
         by.setdefault(Of(*each[:5]), {})[each.seed] = each.ee
-    claims = [claim for curve in (LEARNED, PLANNED) for claim in _of_curve(by, curve)]
+    claims = [claim for curve in (LEARNED, BEST, PLANNED) for claim in _of_curve(by, curve)]
     return [claim for claim in claims if claim is not None]
 
 

@@ -12,6 +12,7 @@ from conf import Config, overridden
 from experiments.reproduce.results.output import save_figure, write_csv
 from experiments.reproduce.results.planning import planned_values
 from experiments.reproduce.results.points import (
+    BEST,
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
@@ -37,6 +38,14 @@ QUICK_ROBOTS = (3,)
 QUICK_SIDES = (0, 30)
 QUICK = ("train.episodes=150", "agent.epsilon.ticks=5000", "evaluation.episodes=20")
 """Half of the training, explored in half the time, and fewer starts to play and to plan."""
+
+QUICK_BEST = (
+    "train.max_ticks=1000",
+    "agent.epsilon.ticks=300",
+    "agent.learning_rate_updates=1000",
+    "evaluation.episodes=20",
+)
+"""Of ``experiment=best``: a sixth of its training, and as few starts."""
 
 
 class Fig4Setting(NamedTuple):
@@ -69,6 +78,11 @@ class Fig4Setting(NamedTuple):
             f"env.access={self.access}",
         )
 
+    @property
+    def best(self) -> str:
+        """Of its cell with ``experiment=best``."""
+        return f"{self.name}-best"
+
 
 def settings(quick: bool) -> list[Fig4Setting]:
     """All points of the figure."""
@@ -95,11 +109,19 @@ def cells_of(which: Sequence[Named], quick: bool) -> list[Cell]:
     return [Cell(each.name, (*each.overrides, *shorter), seeds) for each in which]
 
 
+def best_cells(which: Sequence[Fig4Setting], quick: bool) -> list[Cell]:
+    """A cell for each setting with ``experiment=best``, and seeds as ``cells_of`` has them."""
+    seeds, shorter = (QUICK_SEEDS[:1], QUICK_BEST) if quick else (THREE_SEEDS, ())
+    best = "experiment=best"
+    return [Cell(each.best, (best, *each.overrides, *shorter), seeds) for each in which]
+
+
 class Fig4:
     """The target ``fig4``.
 
     A learned point is the mean of a run's last five evaluations: frozen weights on held-out starts
-    with the exploration of evaluations, the protocol of docs/results.md. A planned one is the
+    with the exploration of evaluations, the protocol of docs/results.md. ``experiment=best``
+    evaluates seldom while it trains, so its points are of the final weights. A planned one is the
     trajectory oracle on ``PLANNED_STARTS`` of each seed.
 
     Args:
@@ -112,8 +134,9 @@ class Fig4:
         self._processes = processes
 
     def cells(self, quick: bool) -> list[Cell]:
-        """A cell for each point; at full size three seeds of 60, 180 runs."""
-        return cells_of(settings(quick), quick)
+        """Two cells for each point, those of the defaults last; in full 60 points, three seeds."""
+        which = settings(quick)
+        return [*best_cells(which, quick), *cells_of(which, quick)]
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
         """Writes figure, what it draws, every seed's values, and tables of both.
@@ -127,7 +150,7 @@ class Fig4:
             The files written.
         """
         found = outcomes(runs, settings(quick), out / "planned.csv", self._processes)
-        drawn, note = points(found), _note(runs)
+        drawn, note = points(found), _note(runs, settings(quick)[0])
         return [
             *save_figure(draw(drawn, note), out, self.name, quick=quick),
             write_csv(out / "fig4.csv", Point._fields, drawn),
@@ -161,6 +184,7 @@ def outcomes(
     ]
     values = planned_values([config for *_, config in plans], file, processes)
     found = [_learned(each, run) for each, run in trained]
+    found += [_best(each, run) for each in which for run in runs[each.best].values()]
     for (each, curve, config), value in zip(plans, values, strict=True):
         found.append(
             PointOutcome(*each, curve, config.seed, value.ee, 1.0, value.sum_rate, value.min_rate)
@@ -183,6 +207,13 @@ def _learned(setting: Fig4Setting, run: Run) -> PointOutcome:
     )
 
 
+def _best(setting: Fig4Setting, run: Run) -> PointOutcome:
+    """The final weights of a run with ``experiment=best``."""
+    of, greedy = (run.summary["evaluation"][name] for name in ("eps05", "greedy"))
+    measures = of["ee"], of["success"], of["sum_rate"], of["min_rate"]
+    return PointOutcome(*setting, BEST, run.seed, *measures, greedy["ee"], greedy["success"])
+
+
 def _fewer_starts(config: Config) -> Config:
     """The same task with no more held-out starts than are planned for."""
     evaluation = config.evaluation
@@ -195,10 +226,11 @@ def _reallocated(config: Config) -> Config:
     return overridden(config, ["env.oma.share=reallocate"])
 
 
-def _note(runs: Runs) -> str:
-    """What the figure says below itself."""
-    some = next(iter(runs.values()))
+def _note(runs: Runs, setting: Fig4Setting) -> str:
+    """What the figure says below itself; a setting stands for all."""
+    some = runs[setting.name]
     run = next(iter(some.values()))
+    best = next(iter(runs[setting.best].values()))
     evaluation, seeds = run.config.evaluation, ", ".join(map(str, sorted(some)))
     over = f"mean and 95 % bootstrap interval over seeds {seeds}"
     lines = [
@@ -206,6 +238,8 @@ def _note(runs: Runs) -> str:
         f" {evaluation.episodes} held-out starts of each seed,"
         f" eps = {evaluation.epsilon:g}, mean of the last five evaluations;"
         f" {over if len(some) > 1 else f'seed {seeds}'}.",
+        f"Learned, best: experiment=best, {best.config.train.max_ticks} ticks in"
+        f" {best.config.train.worlds} worlds; its final weights from the same starts.",
         f"Planned: the trajectory oracle from {min(evaluation.episodes, PLANNED_STARTS)} held-out"
         " starts of each seed, on which all robots arrive (a lower bound on the best).",
     ]

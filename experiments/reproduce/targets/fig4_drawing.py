@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from experiments.reproduce.results.output import plain
-from experiments.reproduce.results.points import LEARNED, PLANNED, PLANNED_AGAIN, Point
+from experiments.reproduce.results.points import BEST, LEARNED, PLANNED, PLANNED_AGAIN, Point
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,15 +22,25 @@ LETTERS_PER_INCH = 18
 """Of the note below the figure."""
 
 COLOURS = {"noma": "#2e86de", "oma": "#e4572e"}
-MARKERS = {"noma": "o", "oma": "s"}
+DARKER = {"noma": "#0b4f8a", "oma": "#8a2a12"}
+"""Of ``experiment=best``, whose marks have other forms as well."""
+
+MARKERS = {
+    ("noma", LEARNED): "o",
+    ("oma", LEARNED): "s",
+    ("noma", BEST): "^",
+    ("oma", BEST): "v",
+}
 LABELS = {
     ("noma", LEARNED): "NOMA, learned",
     ("oma", LEARNED): "OMA, learned",
+    ("noma", BEST): "NOMA, learned, best",
+    ("oma", BEST): "OMA, learned, best",
     ("noma", PLANNED): "NOMA, planned",
     ("oma", PLANNED): "OMA, planned",
     ("oma", PLANNED_AGAIN): "OMA, reallocated, planned",
 }
-STYLES = {LEARNED: "-", PLANNED: "--", PLANNED_AGAIN: ":"}
+STYLES = {LEARNED: "-", BEST: "-.", PLANNED: "--", PLANNED_AGAIN: ":"}
 
 
 def draw(drawn: Sequence[Point], note: str) -> Figure:
@@ -72,9 +82,9 @@ def _panel(axes: Axes, here: Sequence[Point]) -> None:
         if not line:
             continue
         power_dbm = [point.max_dbm for point in line]
-        colour = COLOURS[access]
+        colour = _colour(access, curve)
         axes.plot(power_dbm, [point.ee for point in line], STYLES[curve], color=colour, lw=1.4)
-        if curve == LEARNED:
+        if (access, curve) in MARKERS:
             low, high = [point.low for point in line], [point.high for point in line]
             axes.fill_between(power_dbm, low, high, color=colour, alpha=0.18, linewidth=0)
             _marks(axes, line)
@@ -85,10 +95,14 @@ def _panel(axes: Axes, here: Sequence[Point]) -> None:
 def _marks(axes: Axes, line: Sequence[Point]) -> None:
     """Marks learned points, hollow where fewer than ``ARRIVE`` of the robots arrive."""
     for point in line:
-        colour = COLOURS[point.access]
+        colour = _colour(point.access, point.curve)
         face = colour if point.success >= ARRIVE else "white"
-        marker = MARKERS[point.access]
+        marker = MARKERS[point.access, point.curve]
         axes.plot(point.max_dbm, point.ee, marker, color=colour, mfc=face, ms=5.5, zorder=3)
+
+
+def _colour(access: str, curve: str) -> str:
+    return (DARKER if curve == BEST else COLOURS)[access]
 
 
 def _handles(drawn: Sequence[Point]) -> list[Line2D]:
@@ -96,11 +110,10 @@ def _handles(drawn: Sequence[Point]) -> list[Line2D]:
     found = []
     for (access, curve), label in LABELS.items():
         if (access, curve) in there:
-            marker = MARKERS[access] if curve == LEARNED else ""
             style: dict[str, Any] = {
-                "color": COLOURS[access],
+                "color": _colour(access, curve),
                 "linestyle": STYLES[curve],
-                "marker": marker,
+                "marker": MARKERS.get((access, curve), ""),
             }
             found.append(Line2D([], [], label=label, **style))
     if any(point.success < ARRIVE for point in drawn):

@@ -10,6 +10,8 @@ import numpy as np
 
 from experiments.reproduce.results.output import write_csv, write_table
 from experiments.reproduce.results.points import (
+    BEST,
+    LEARNED,
     PLANNED,
     PLANNED_AGAIN,
     Of,
@@ -89,6 +91,8 @@ def _neighbours(ours: Of, there: Sequence[Of]) -> Iterator[tuple[str, Of]]:
         yield "NOMA over OMA", ours._replace(access="oma")
         if ours.curve == PLANNED:
             yield "NOMA over OMA, reallocated", ours._replace(access="oma", curve=PLANNED_AGAIN)
+    if ours.curve == BEST:
+        yield "best over the defaults", ours._replace(curve=LEARNED)
     for axis, text in AXES.items():
         here = getattr(ours, axis)
         below = [getattr(of, axis) for of in there if getattr(of, axis) < here]

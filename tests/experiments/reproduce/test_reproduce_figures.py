@@ -20,6 +20,7 @@ from experiments.analysis.optimality_gap import SLACK
 from experiments.reproduce.results import planning
 from experiments.reproduce.results import trace as along
 from experiments.reproduce.results.points import (
+    BEST,
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
@@ -90,7 +91,7 @@ def check_pictures(files: Sequence[Path], names: Sequence[str]) -> None:
         assert "</svg>" in png.with_suffix(".svg").read_text()
 
 
-@pytest.mark.parametrize(("target", "quick", "full"), [(fig4, 12, 180), (fig5, 4, 24)])
+@pytest.mark.parametrize(("target", "quick", "full"), [(fig4, 24, 360), (fig5, 4, 24)])
 def test_no_figure_trains_a_configuration_twice(target: Any, quick: int, full: int) -> None:
     for small, count in ((True, quick), (False, full)):
         cells = target.TARGET.cells(small)
@@ -100,8 +101,12 @@ def test_no_figure_trains_a_configuration_twice(target: Any, quick: int, full: i
 
 
 def test_cells_are_configurations_that_can_be_trained() -> None:
-    cells = [fig4.TARGET.cells(True)[0], fig4.TARGET.cells(False)[-1], fig5.TARGET.cells(False)[-1]]
-    first, last, qoe = (checked_training([*COMMON, *cell.overrides]) for cell in cells)
+    of_fig4 = fig4.TARGET.cells(True)
+    cells = [of_fig4[0], of_fig4[12], fig4.TARGET.cells(False)[-1], fig5.TARGET.cells(False)[-1]]
+    best, first, last, qoe = (checked_training([*COMMON, *cell.overrides]) for cell in cells)
+    assert best.scheme.power == "search"
+    assert (best.env.ris.side, best.env.power.max_dbm, best.env.access) == (0, 10.0, "noma")
+    assert (best.train.max_ticks, best.evaluation.episodes) == (1000, 20)
     assert (first.env.ris.side, first.env.power.max_dbm, first.env.access) == (0, 10.0, "noma")
     assert (first.train.episodes, first.evaluation.episodes) == (150, 20)
     env = last.env
@@ -121,10 +126,10 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
     assert all(file.is_file() for file in files)
     check_pictures(files, ["fig4"])
     drawn = rows_of(tmp_path / "fig4.csv")
-    assert len(drawn) == 2 * 5  # power budgets, curves
+    assert len(drawn) == 2 * 7  # power budgets, curves
     assert {(row["access"], row["curve"]) for row in drawn} == {
-        *(("noma", curve) for curve in (LEARNED, PLANNED)),
-        *(("oma", curve) for curve in (LEARNED, PLANNED, PLANNED_AGAIN)),
+        *(("noma", curve) for curve in (LEARNED, BEST, PLANNED)),
+        *(("oma", curve) for curve in (LEARNED, BEST, PLANNED, PLANNED_AGAIN)),
     }
     runs = rows_of(tmp_path / "fig4_runs.csv")
     assert len(runs) == len(drawn)
@@ -133,7 +138,10 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
     (row,) = (row for row in runs if list(row.values())[:5] == ["3", "30", "10", "oma", LEARNED])
     assert float(row["ee"]) == pytest.approx(last["ee"], rel=1e-5)
     assert float(row["success"]) == pytest.approx(last["success"], rel=1e-5)
-    assert len((tmp_path / "fig4.md").read_text().splitlines()) == 2 + 5 + 2
+    final = runs_of_fig4[fig4.Fig4Setting(3, 30, 10, "oma").best][10].summary["evaluation"]["eps05"]
+    (row,) = (row for row in runs if list(row.values())[:5] == ["3", "30", "10", "oma", BEST])
+    assert float(row["ee"]) == pytest.approx(final["ee"], rel=1e-5)
+    assert len((tmp_path / "fig4.md").read_text().splitlines()) == 2 + 7 + 2
 
 
 def test_planned_values_are_the_trajectory_oracles_and_are_kept(
@@ -168,6 +176,32 @@ def test_planned_values_outlast_an_interrupt(
     with pytest.raises(KeyboardInterrupt):
         planning.planned_values([first, second], tmp_path / "planned.csv", processes=1)
     assert [row["seed"] for row in rows_of(tmp_path / "planned.csv")] == ["1"]
+
+
+def test_what_agents_see_and_are_paid_changes_no_plan(
+    tiny: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, config = tmp_path / "planned.csv", tiny({"evaluation.episodes": 2})
+    others = {"env.state.way": "on", "env.state.others": 2, "env.reward.credit": "difference"}
+    best = tiny({"evaluation.episodes": 2, **others})
+    expected = optimality_gap.trajectory_measures(Evaluator(best), SLACK).summary()
+    (value,) = planning.planned_values([config], file, 1)
+    assert value.ee == expected["ee"]
+    assert value.ee_bits_per_joule == expected["ee_bits_per_joule"]
+    monkeypatch.setattr(planning, "_row", lambda config: pytest.fail("was worked out again"))
+    assert planning.planned_values([best], file, 1) == [value]
+
+
+def test_a_file_of_plans_that_lacks_a_measure_is_filled(tiny: Any, tmp_path: Path) -> None:
+    file, config = tmp_path / "planned.csv", tiny({"evaluation.episodes": 2})
+    whole = planning.planned_values([config], file, 1)
+    rows = [{k: v for k, v in row.items() if k != "ee_bits_per_joule"} for row in rows_of(file)]
+    with file.open("w", newline="") as text:
+        writer = csv.DictWriter(text, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    assert planning.planned_values([config], file, 1) == whole
+    assert len(rows_of(file)) == 1
 
 
 def test_what_cannot_be_planned_is_said_in_a_sentence(tiny: Any, tmp_path: Path) -> None:
@@ -238,6 +272,19 @@ def test_comparisons_pair_seeds_and_take_the_next_smaller_neighbour() -> None:
     assert nomas.percent == pytest.approx(75.0)
     assert (nomas.seeds, nomas.least_success) == (2, pytest.approx(0.8))
     assert made["M_R = 20 over 10", 20].percent == pytest.approx(150.0)
+
+
+def test_the_best_is_compared_with_the_defaults_and_drawn_with_its_own_mark() -> None:
+    found = [outcome(0.1), outcome(0.15, curve=BEST)]
+    (made,) = comparisons(found)
+    assert (made.what, made.curve) == ("best over the defaults", BEST)
+    assert made.percent == pytest.approx(50.0)
+    figure = draw(points(found), "")
+    assert {"NOMA, learned", "NOMA, learned, best"} == {
+        text.get_text() for text in figure.legends[0].get_texts()
+    }
+    marks = {line.get_marker(): line.get_color() for line in figure.axes[0].lines}
+    assert marks["o"] != marks["^"]
 
 
 def test_robots_of_fig_5_start_opposite_their_destinations() -> None:

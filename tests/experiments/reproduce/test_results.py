@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from experiments.cli import main
 from experiments.reproduce.export import collect, repeat
 from experiments.reproduce.export.repeat import RegressionRun
 from experiments.reproduce.targets import fig3
+from experiments.runtimes import local
 from storage.checkpoint_files import digest
+from training.run_folder import RunFolder
 
 ROOT = Path(__file__).parent.parent.parent.parent
 RESULTS = ROOT / "results"
@@ -112,6 +115,7 @@ def test_the_card_has_a_row_for_all_weights(exported: Path) -> None:
     for name in ("k2", "k3", "k4"):
         assert card.count(f"| {name} | ") == 3  # what it is, how well it plays, its layers
     assert "evaluate results/weights/k2" in card
+    assert "robots, which pick their moves and powers, and of the" in card
     assert "{" not in card
 
 
@@ -152,6 +156,22 @@ def test_what_cannot_be_exported_is_said_in_a_sentence(
     (changed / "fig3.csv").write_text("other\n")
     assert collect.main([str(changed), str(tmp_path / "results")]) == 2
     assert "changed after its manifest was written" in capsys.readouterr().err
+
+
+def test_the_card_says_who_picks_the_powers(reproduced: Path, tiny: Any, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    changes = {"run.dir": str(run), "scheme.power": "search", "evaluation.every": 1000}
+    local.train(tiny(changes), RunFolder(run))
+    results = tmp_path / "results"
+    assert collect.main([str(reproduced), str(results), "--weights", f"k3-best={run}"]) == 0
+    card = (results / "weights" / "README.md").read_text()
+    assert "robots, which pick their moves, and of the access" in card
+    picks = " ".join(card.split())
+    assert "by the robots themselves (k2, k3, k4), or by the access point" in picks
+    assert "(k3-best)." in picks
+    success = json.loads((run / "summary.json").read_text())["evaluation"]["eps05"]["success"]
+    assert f"| k3-best | 1 | {success:.2f} (" in card  # fewer than five evaluations: the final one
+    assert main(["evaluate", str(results / "weights" / "k3-best"), "--episodes", "2"]) == 0
 
 
 @needs_results

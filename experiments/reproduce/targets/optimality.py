@@ -1,0 +1,237 @@
+"""How near fleets come to the optimum: ``experiment=best``, its rivals with the same help, a rule.
+
+Each run's final weights drive greedily from held-out starts, and count as shares of what the
+trajectory oracle's plans reach from the same starts. Rivals get what ``experiment=best`` has: its
+rewards, searched powers, as many worlds and ticks, the same learner. One agent for everything sees
+the global state, in which no robot's way is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from conf import Config
+from env.episode import EpisodeMeasures
+from experiments.analysis.optimality_gap import shortest_best_measures
+from experiments.reproduce.results.output import QUICK, Row, write_csv, write_table
+from experiments.reproduce.results.planning import Planned, planned_values
+from experiments.reproduce.results.runs import Run, Runs
+from experiments.reproduce.results.statistics import Estimate, difference, estimate
+from experiments.reproduce.targets.plan import FRESH_SEEDS, Cell
+from training.evaluation import Evaluator
+
+ROBOTS = (2, 3, 4, 6)
+STARTS = 16
+"""Held-out starts of each seed that are played and planned."""
+
+BEST = "best"
+INDEPENDENT = "independent learners"
+BRANCHING = "branching heads"
+CENTRALIZED = "centralized"
+PAPER = "the paper's settings"
+RULE = "shortest ways, best phases and powers"
+
+HELPED = {
+    BEST: (),
+    INDEPENDENT: ("baseline=independent",),
+    BRANCHING: ("baseline=branching",),
+    CENTRALIZED: ("baseline=centralized",),
+}
+"""What changes ``experiment=best`` into each learner that gets the same help."""
+
+MOST_CENTRALIZED = 4
+"""Robots up to which centralized DQN is trained: with six it has 16,384 joint actions."""
+
+QUICK_HELPED = (
+    "train.max_ticks=600",
+    "agent.epsilon.ticks=200",
+    "agent.learning_rate_updates=600",
+)
+QUICK_PAPER = ("train.episodes=100", "agent.epsilon.ticks=4000")
+
+MEASURES = {
+    "success": (".3f", 1.0),
+    "ee_share": (".1f", 100.0),
+    "bits_share": (".1f", 100.0),
+    "path_ratio": (".3f", 1.0),
+    "cpu_s": (".0f", 1.0),
+}
+"""How each is written, and times what."""
+
+HEADER = (
+    "K",
+    "learner",
+    "success",
+    "(5a), % of the plans'",
+    "bit/J, % of the plans'",
+    "path ratio",
+    "CPU s",
+    "(5a), points above best",
+)
+NOTE = (
+    "Frozen final weights, greedy, from {starts} held-out starts of each seed; plans are the"
+    " trajectory oracle's for the same starts, a lower bound on the best with several robots."
+    " Interquartile means over seeds {seeds} with 95 % bootstrap intervals; the last column is"
+    " paired by seed. CPU seconds are those of the run's process, evaluations included."
+)
+
+
+class OptimalityOutcome(NamedTuple):
+    """What a learner, or the rule, came to with one seed.
+
+    Attributes:
+        robots: K.
+        learner: or the rule.
+        seed: the run's.
+        success: share of the robots that arrive.
+        ee: energy efficiency in bit/s/Hz/J, the objective (5a).
+        ee_bits_per_joule: all bits over all energy, in bit/J.
+        ee_share: of the plans'.
+        bits_share: likewise, in bit/J.
+        path_ratio: slots driven over the fewest possible, nan where nobody arrives.
+        cpu_s: processor time of the run in s, nan of the rule.
+    """
+
+    robots: int
+    learner: str
+    seed: int
+    success: float
+    ee: float
+    ee_bits_per_joule: float
+    ee_share: float
+    bits_share: float
+    path_ratio: float
+    cpu_s: float
+
+
+class Optimality:
+    """The target ``optimality``.
+
+    Args:
+        processes: that plan trajectories at once; the cores if None.
+    """
+
+    name = "optimality"
+
+    def __init__(self, processes: int | None = None) -> None:
+        self._processes = processes
+
+    def cells(self, quick: bool) -> list[Cell]:
+        """See ``Target``: with each K all that learn, the paper's settings last."""
+        helped, paper = (QUICK_HELPED, QUICK_PAPER) if quick else ((), ())
+        seeds = FRESH_SEEDS[:1] if quick else FRESH_SEEDS
+        cells = []
+        for robots in ROBOTS[:1] if quick else ROBOTS:
+            task = f"env.robots={robots}"
+            cells += [
+                Cell(named(learner, robots), ("experiment=best", *own, task, *helped), seeds)
+                for learner, own in HELPED.items()
+                if learner != CENTRALIZED or robots <= MOST_CENTRALIZED
+            ]
+            cells.append(Cell(named(PAPER, robots), (task, *paper), seeds))
+        return cells
+
+    def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
+        """See ``Target``; planned values are kept in ``planned.csv``, as Fig. 4 does."""
+        found = outcomes(runs, out / "planned.csv", self._processes)
+        return [
+            _write_table(out / "optimality.md", found, quick),
+            _write_csv(out / "optimality.csv", found),
+            write_csv(out / "optimality_runs.csv", OptimalityOutcome._fields, found),
+            out / "planned.csv",
+        ]
+
+
+TARGET = Optimality()
+
+
+def named(learner: str, robots: int) -> str:
+    """The name of a learner's cell."""
+    return f"{learner}, K = {robots}"
+
+
+def outcomes(runs: Runs, file: Path, processes: int | None = None) -> list[OptimalityOutcome]:
+    """What every run came to, and the rule from the same starts, as shares of the plans'.
+
+    Args:
+        runs: every run of the target's cells.
+        file: keeps planned values.
+        processes: that plan at once.
+    """
+    trained = [(name.split(",")[0], run) for name, each in runs.items() for run in each.values()]
+    tasks = {(r.config.env.robots, r.seed): r.config for which, r in trained if which == BEST}
+    values = planned_values([_starts_of(each) for each in tasks.values()], file, processes)
+    plans = dict(zip(tasks, values, strict=True))
+    found = [
+        _played(learner, run, plans[run.config.env.robots, run.seed]) for learner, run in trained
+    ]
+    for task, config in tasks.items():
+        measures = shortest_best_measures(Evaluator(config, episodes=STARTS))
+        found.append(_outcome(*task, RULE, measures, plans[task], np.nan))
+    return sorted(found, key=lambda each: each.robots)
+
+
+def _starts_of(config: Config) -> Config:
+    """The same task with the held-out starts that are played."""
+    evaluation = dataclasses.replace(config.evaluation, episodes=STARTS)
+    return dataclasses.replace(config, evaluation=evaluation)
+
+
+def _played(learner: str, run: Run, plan: Planned) -> OptimalityOutcome:
+    (measures,) = Evaluator(run.config, episodes=STARTS).play(*run.weights(), (0.0,))
+    task = run.config.env.robots, run.seed
+    return _outcome(*task, learner, measures, plan, run.summary["cpu_s"])
+
+
+def _outcome(
+    robots: int, seed: int, learner: str, measures: EpisodeMeasures, plan: Planned, cpu_s: float
+) -> OptimalityOutcome:
+    found = measures.summary()
+    ee, bits = found["ee"], found["ee_bits_per_joule"]
+    shares = ee / plan.ee, bits / plan.ee_bits_per_joule
+    ends = found["path_ratio"], cpu_s
+    return OptimalityOutcome(robots, learner, seed, found["success"], ee, bits, *shares, *ends)
+
+
+Estimates = dict[tuple[int, str], dict[str, Estimate]]
+"""Of each K and learner every measure, and how far its (5a) is from that of ``best``."""
+
+
+def estimates(found: Sequence[OptimalityOutcome]) -> Estimates:
+    """Interquartile means over seeds with intervals, in the order of the outcomes."""
+    groups: dict[tuple[int, str], dict[int, OptimalityOutcome]] = {}
+    for each in found:
+        groups.setdefault((each.robots, each.learner), {})[each.seed] = each
+    made: Estimates = {}
+    for (robots, learner), ours in groups.items():
+        measured = {name: estimate([getattr(o, name) for o in ours.values()]) for name in MEASURES}
+        best = groups[robots, BEST]
+        shares = [(each.ee_share, best[seed].ee_share) for seed, each in ours.items()]
+        measured["above_best"] = difference(*zip(*shares, strict=True))
+        made[robots, learner] = measured
+    return made
+
+
+def _write_table(path: Path, found: Sequence[OptimalityOutcome], quick: bool) -> Path:
+    rows: list[Row] = []
+    for (robots, learner), measured in estimates(found).items():
+        cells = [measured[name].text(*how) for name, how in MEASURES.items()]
+        above = "" if learner == BEST else measured["above_best"].text("+.1f", 100.0)
+        rows.append((robots, learner, *cells, above))
+    seeds = ", ".join(map(str, sorted({each.seed for each in found})))
+    note = NOTE.format(starts=STARTS, seeds=seeds)
+    return write_table(path, HEADER, rows, f"{note} {QUICK.capitalize()}." if quick else note)
+
+
+def _write_csv(path: Path, found: Sequence[OptimalityOutcome]) -> Path:
+    rows = [
+        (robots, learner, name, each.value, each.low, each.high, each.count)
+        for (robots, learner), measured in estimates(found).items()
+        for name, each in measured.items()
+    ]
+    return write_csv(path, ("robots", "learner", "measure", "value", "low", "high", "seeds"), rows)
