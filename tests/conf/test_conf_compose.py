@@ -257,4 +257,5 @@ def test_the_best_is_for_any_number_of_robots(robots):
     assert found.scheme.power == "search"
     assert found.strategy.name != "none"
     assert found.train.worlds > 1
+    assert found.train.max_ticks
     assert found.agent.epsilon.ticks < found.train.max_ticks
