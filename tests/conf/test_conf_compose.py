@@ -256,3 +256,15 @@ def test_a_run_cannot_be_changed_in_place():
         config.seed = 1
     with pytest.raises(dataclasses.FrozenInstanceError):
         config.federation.link.port = 1
+
+
+@pytest.mark.parametrize("robots", [1, 2, 3, 4, 6, 8, 16])
+def test_the_best_is_for_any_number_of_robots(robots):
+    levels = ["env.power.levels=16"] if robots > 6 else []
+    found = compose(["experiment=best", f"env.robots={robots}", *levels])
+    assert found.scheme.agents == "federated"
+    assert found.scheme.power == "search"
+    assert found.strategy.name != "none"
+    assert found.train.worlds > 1
+    assert found.train.max_ticks
+    assert found.agent.epsilon.ticks < found.train.max_ticks
