@@ -131,7 +131,7 @@ def test_many_worlds_store_their_own_transitions_in_the_order_of_the_worlds():
         experience.terminal[active],
     )
     for stored, given_field in zip(found, expected, strict=True):
-        np.testing.assert_allclose(stored, given_field, rtol=1e-6)
+        np.testing.assert_allclose(np.asarray(stored), np.asarray(given_field), rtol=1e-6)
 
 
 @settings(max_examples=12)

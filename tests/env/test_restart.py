@@ -71,8 +71,8 @@ def test_one_world_is_restarted_as_it_is_reset(variant: str) -> None:
     for array, as_reset in zip(shown(other), shown(one), strict=True):
         assert array.tobytes() == as_reset.tobytes()
     assert other.generator.bit_generator.state == one.generator.bit_generator.state
-    for outcome, as_reset in zip(roll(other, 9), roll(one, 9), strict=True):
-        assert outcome.rate.tobytes() == as_reset.rate.tobytes()
+    for restarted, reset in zip(roll(other, 9), roll(one, 9), strict=True):
+        assert restarted.rate.tobytes() == reset.rate.tobytes()
     assert other.measured_db.tobytes() == one.measured_db.tobytes()
 
 

@@ -28,6 +28,13 @@ def evaluated(out: Path, *arguments: str) -> dict[str, Any]:
     return written
 
 
+SERVING = (
+    "env.reward.credit=difference",
+    "env.reward.weights=objective",
+    "env.state.weights=true",
+    "env.state.others=1",
+    "train.worlds=2",
+)
 TRAINED = (
     ("baseline=centralized",),
     ("baseline=branching",),
@@ -36,6 +43,10 @@ TRAINED = (
     ("scheme.power=search",),
     ("baseline=oracle_phase", "scheme.power=search"),
     ("baseline=centralized", "scheme.power=ap"),
+    ("baseline=centralized", *SERVING),
+    ("baseline=branching", "scheme.heads=shared", *SERVING),
+    ("baseline=oracle_phase", "scheme.power=search", "env.state.order=gain", *SERVING),
+    ("env.access=oma", "env.metric=qoe", "env.state.order=gain", *SERVING),
 )
 
 

@@ -2,6 +2,7 @@
 
 import logging
 import socket
+import time
 
 import numpy as np
 import pytest
@@ -209,6 +210,9 @@ def test_a_client_that_came_back_between_steps_has_lost_its_place(link):
     link.server.actions(0)
     new = link.raw().hello((0,))
     new.receive()
+    deadline = time.monotonic() + PATIENCE_S
+    while not link.server._acceptor.accepted and time.monotonic() < deadline:
+        time.sleep(0.001)  # the welcome comes a moment before
     with pytest.raises(RobotLost, match="it has come back"):
         link.server.send_step(1, 1, Expect.ACTIONS, updates(1, 1))
 

@@ -23,6 +23,19 @@ def test_the_defaults_by_hand():
     assert found["break_even_every"] == 292_992 / 156
 
 
+def test_worlds_credit_and_broadcasts_by_hand():
+    changes = ["train.worlds=4", "env.reward.credit=difference", "env.state.others=1"]
+    found = per_tick(compose(["federation.clients=3", *changes]))
+    # observation 5 + 8 that are broadcast, twice, action, reward, terminal: 29 numbers of 4 bytes
+    assert found["transitions"] == 4 * 3 * 4 * 29
+    # a record: 26, a credit of 8, broadcasts of 8 numbers before and now; one in each of 4 worlds
+    step, answer = 12 + 16 + 4 * (26 + 8 + 2 * 8 * 4), 12 + 12 + 4 * 4
+    assert found["lockstep_per_window"] == 3 * (26 * step + 25 * answer)
+    parameters = PARAMETERS + 8 * 64
+    assert found["weights_per_window"] == 3 * 2 * 2 * 4 * parameters
+    assert found["break_even_every"] == 3 * 2 * 2 * 4 * parameters / found["transitions"]
+
+
 def test_at_the_break_even_both_send_as_much():
     small = ["env.state.destination=none", "env.power.levels=2", "env.robots=2", "agent.hidden=[8]"]
     # (3+1) 8 + (8+1) 8 = 104 parameters, 2 networks up and down; 9 numbers a transition

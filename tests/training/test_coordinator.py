@@ -551,7 +551,8 @@ def test_robots_learn_from_what_each_world_says(tiny: Tiny, changes: dict[str, A
     initial = np.stack([first, first])
     group, world = RobotGroup(config, (0, 1, 2)), RecordedWorld(config)
     group.download(0, initial)
-    fleet = InProcessFleet([((0, 1, 2), group)], step_layout(config))
+    handlers: list[Any] = [(group.robots, group)]
+    fleet = InProcessFleet(handlers, step_layout(config))
     aggregator = build_aggregator(config.strategy, config.env.robots)
     run = Coordinator(config, world, AccessPoint(config), fleet, aggregator, Observed([]))
     run.run(initial)
