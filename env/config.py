@@ -188,8 +188,8 @@ class RewardConfig:
     rate: Annotated[float, "phi"] = 0.05
     credit: Annotated[
         str,
-        Literal["rate", "objective", "team", "difference"],
-        "in the place of R_k: w_k R_k, all robots' sum of that, or what of the sum is robot k's",
+        Literal["rate", "team", "difference"],
+        "in the place of R_k: sum_j w_j R_j / w_k, or what of that is robot k's doing",
     ] = "rate"
     guidance: Annotated[float, "psi"] = 3.0
     guidance_discount: Annotated[

@@ -115,21 +115,22 @@ class RewardFunction:
                 shape (..., K, K) with k before j.
 
         Returns:
-            With ``objective`` w_k R_k, with ``team`` the sum of it over the robots that drove,
-            with ``difference`` that sum less what it is without robot k's signal; 0 where a robot
-            was not driving, shape (..., K).
+            With ``team`` sum_j w_j R_j / w_k over the robots that drove, with ``difference`` that
+            less what it is without robot k's signal; 0 where a robot was not driving, shape
+            (..., K). In bit/s/Hz of robot k's own rate: w_k stays on a shortest way, so dividing
+            by it changes no best policy, and what light and heavy robots are paid is alike in size.
         """
-        counted = metric(rate, self._config)
-        own = np.where(drove, weights * counted, 0.0)
+        counted = np.where(drove, metric(rate, self._config), 0.0)
         if self._config.reward.credit == "team":
-            return np.where(drove, own.sum(axis=-1, keepdims=True), 0.0)
+            team = (weights * counted).sum(axis=-1, keepdims=True)
+            return np.where(drove, team / weights, 0.0)
         if without is None:
-            return own
+            return counted
         # What the others lose; robot k's own rate is all its own.
         lost = metric(without, self._config) - counted[..., None, :]
         others = drove[..., None, :] & ~np.eye(drove.shape[-1], dtype=bool)
         harm = np.where(others, weights[..., None, :] * lost, 0.0).sum(axis=-1)
-        return np.where(drove, own - harm, 0.0)
+        return np.where(drove, counted - harm / weights, 0.0)
 
     def of_robots(
         self,

@@ -60,7 +60,7 @@ CHOICES = {
     "state.way": "one of auto, on, off",
     "state.order": "index or gain",
     "reward.distance": "one of auto, straight, way",
-    "reward.credit": "one of rate, objective, team, difference",
+    "reward.credit": "one of rate, team, difference",
     "reward.weights": "equal or objective",
 }
 

@@ -79,12 +79,8 @@ def test_a_robots_slots_are_those_so_far_and_the_shortest_way_left():
 
 CREDITS = {
     "rate": RATES,
-    "objective": (WEIGHTS[0] * RATES[0], WEIGHTS[1] * RATES[1]),
-    "team": (WEIGHTS[0] * RATES[0] + WEIGHTS[1] * RATES[1],) * 2,
-    "difference": (
-        WEIGHTS[0] * RATES[0] - WEIGHTS[1] * (WEAK_ALONE - RATES[1]),
-        WEIGHTS[1] * RATES[1],
-    ),
+    "team": (RATES[0] + 4 * RATES[1], RATES[0] / 4 + RATES[1]),
+    "difference": (RATES[0] - 4 * (WEAK_ALONE - RATES[1]), RATES[1]),
 }
 
 
@@ -96,10 +92,9 @@ def test_a_slots_credit_by_hand(credit):
     first, second = (0.05 * each + 3 * 0.5 - 1 for each in CREDITS[credit])
     assert outcome.local_reward[0] == pytest.approx([first, second + 100])
     assert outcome.global_reward == pytest.approx([0.1 * sum(RATES)])
-    # Robot 1 has arrived: robot 0 is alone, and its weight is still that of two slots.
+    # Robot 1 has arrived: robot 0 is alone.
     outcome = world.step(np.zeros(1, dtype=int), np.array([[EAST, WEST]]), np.array([[1, 1]]))
-    weight = 1.0 if credit == "rate" else WEIGHTS[0]
-    assert outcome.credit[0] == pytest.approx([weight * outcome.rate[0, 0], 0.0])
+    assert outcome.credit[0] == pytest.approx([outcome.rate[0, 0], 0.0])
 
 
 def test_with_the_rate_as_credit_the_two_are_one_array():
@@ -109,15 +104,13 @@ def test_with_the_rate_as_credit_the_two_are_one_array():
 
 def test_under_orthogonal_access_a_robots_absence_takes_its_own_rate_alone():
     difference = tiny_slot({"credit": "difference"}, access="oma")[1]
-    objective = tiny_slot({"credit": "objective"}, access="oma")[1]
-    assert difference.credit.tobytes() == objective.credit.tobytes()
-    assert objective.credit[0] == pytest.approx(objective.rate[0] * WEIGHTS)
+    assert difference.credit.tolist() == difference.rate.tolist()
 
 
 def test_credit_counts_the_quality_where_rewards_do():
     outcome = tiny_slot({"credit": "difference"}, metric="qoe")[1]
     eta = [math.log10(rate) for rate in (*RATES, WEAK_ALONE)]
-    expected = [WEIGHTS[0] * eta[0] - WEIGHTS[1] * (eta[2] - eta[1]), WEIGHTS[1] * eta[1]]
+    expected = [eta[0] - 4 * (eta[2] - eta[1]), eta[1]]
     assert outcome.credit[0] == pytest.approx(expected)
     assert outcome.local_reward[0, 0] == pytest.approx(0.05 * expected[0] + 0.5)
 
@@ -173,7 +166,10 @@ def test_the_difference_is_that_of_slots_with_and_without_a_signal(seed, robots,
         return value
 
     served = set(np.flatnonzero(drove))
-    expected = [total(served) - total(served - {k}) if drove[k] else 0.0 for k in range(robots)]
+    expected = [
+        (total(served) - total(served - {k})) / weights[0, k] if drove[k] else 0.0
+        for k in range(robots)
+    ]
     assert outcome.credit[0] == pytest.approx(expected, rel=1e-9, abs=1e-7)
 
 
