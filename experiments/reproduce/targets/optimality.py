@@ -3,7 +3,7 @@
 Each run's final weights drive greedily from held-out starts, and count as shares of what the
 trajectory oracle's plans reach from the same starts. Rivals get what ``experiment=best`` has: its
 rewards, searched powers, as many worlds and ticks, the same learner. One agent for everything sees
-the global state, in which no robot's way is.
+the global state, in which no robot's way is and robots stand by index, as it acts for them.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ RULE = "shortest ways, best phases and powers"
 HELPED = {
     BEST: (),
     INDEPENDENT: ("baseline=independent",),
-    BRANCHING: ("baseline=branching",),
-    CENTRALIZED: ("baseline=centralized",),
+    BRANCHING: ("baseline=branching", "env.state.order=index"),
+    CENTRALIZED: ("baseline=centralized", "env.state.order=index"),
 }
 """What changes ``experiment=best`` into each learner that gets the same help."""
 
-MOST_CENTRALIZED = 4
-"""Robots up to which centralized DQN is trained: with six it has 16,384 joint actions."""
+RIVALS_AT = (3,)
+"""The K with which the rivals are trained, too; centralized DQN has 16,384 joint actions at six."""
 
 QUICK_HELPED = (
     "train.max_ticks=600",
@@ -131,7 +131,7 @@ class Optimality:
             cells += [
                 Cell(named(learner, robots), ("experiment=best", *own, task, *helped), seeds)
                 for learner, own in HELPED.items()
-                if learner != CENTRALIZED or robots <= MOST_CENTRALIZED
+                if learner == BEST or robots in RIVALS_AT or quick
             ]
             cells.append(Cell(named(PAPER, robots), (task, *paper), seeds))
         return cells
