@@ -52,7 +52,10 @@ def fig4_claims(found: Sequence[PointOutcome]) -> list[Claim]:
     by: dict[Of, dict[int, float]] = {}
     for each in found:
         by.setdefault(Of(*each[:5]), {})[each.seed] = each.ee
-    claims = [claim for curve in (LEARNED, BEST, PLANNED) for claim in _of_curve(by, curve)]
+    claims: list[Claim | None] = []
+    for curve in (LEARNED, BEST, PLANNED):  # the best is there for some of the settings
+        drawn = (PLANNED, PLANNED_AGAIN) if curve == PLANNED else (curve,)
+        claims += _of_curve({of: ees for of, ees in by.items() if of.curve in drawn}, curve)
     return [claim for claim in claims if claim is not None]
 
 
@@ -124,8 +127,9 @@ def _grown(by: By, curve: str, axis: str) -> Pairs:
 
 def _with_ris(by: By, curve: str) -> Pairs:
     for of in by:
-        if of.curve == curve and of.side:
-            yield _setting(of, *AXES), _percent(by[of], by[of._replace(side=0)])
+        without = of._replace(side=0)
+        if of.curve == curve and of.side and without in by:
+            yield _setting(of, *AXES), _percent(by[of], by[without])
 
 
 def _flattening(by: By, curve: str, *, a_row: bool) -> Pairs:

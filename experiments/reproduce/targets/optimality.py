@@ -126,12 +126,12 @@ class Optimality:
         helped, paper = (QUICK_HELPED, QUICK_PAPER) if quick else ((), ())
         seeds = FRESH_SEEDS[:1] if quick else FRESH_SEEDS
         cells = []
-        for robots in ROBOTS[:1] if quick else ROBOTS:
+        for robots in RIVALS_AT if quick else ROBOTS:
             task = f"env.robots={robots}"
             cells += [
                 Cell(named(learner, robots), ("experiment=best", *own, task, *helped), seeds)
                 for learner, own in HELPED.items()
-                if learner == BEST or robots in RIVALS_AT or quick
+                if learner == BEST or robots in RIVALS_AT
             ]
             cells.append(Cell(named(PAPER, robots), (task, *paper), seeds))
         return cells

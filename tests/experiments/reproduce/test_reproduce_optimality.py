@@ -86,7 +86,7 @@ def test_measures_are_shares_of_the_plans_from_the_same_starts(reproduced: Path)
 def test_tables_have_a_row_for_each_learner_and_the_rule(reproduced: Path) -> None:
     table = (reproduced / "optimality.md").read_text()
     for learner in (*LEARNERS, optimality.RULE):
-        assert table.count(f"| 2 | {learner} | ") == 1
+        assert table.count(f"| 3 | {learner} | ") == 1
     assert f"from {STARTS} held-out starts" in table
     assert "Quick: few seeds" in table
     numbers = rows(reproduced / "optimality.csv")
@@ -97,10 +97,10 @@ def test_tables_have_a_row_for_each_learner_and_the_rule(reproduced: Path) -> No
 def test_weights_of_the_best_are_exported(reproduced: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     assert collect.main([str(reproduced), str(results)]) == 0
-    folder = results / "weights" / "k2-best"
+    folder = results / "weights" / "k3-best"
     assert main(["evaluate", str(folder), "--episodes", "1"]) == 0
     card = (results / "weights" / "README.md").read_text()
-    assert "Powers are picked by the access point, which searches them in each slot (k2-best)" in (
+    assert "Powers are picked by the access point, which searches them in each slot (k3-best)" in (
         " ".join(card.split())
     )
 
