@@ -195,8 +195,8 @@ def _combination_problems(config: EnvConfig) -> list[Problem]:
     credit = config.reward.credit
     if credit == "difference" and config.access == "noma" and power.resolve != "project":
         allowed = (
-            "one of rate, objective, team with env.power.resolve="
-            f"{power.resolve}, whose rates depend on what fails in the slot"
+            f"rate or team with env.power.resolve={power.resolve}, whose rates depend on what fails"
+            " in the slot"
         )
         found.append(("env.reward.credit", credit, allowed))
     return found

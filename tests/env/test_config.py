@@ -189,7 +189,7 @@ def test_the_difference_that_a_signal_makes_is_known_where_all_signals_are_cance
     changes = {"reward__credit": "difference", "power__resolve": resolve}
     [(key, value, allowed)] = problems(configured(**changes))
     assert (key, value) == ("env.reward.credit", "difference")
-    assert allowed.startswith(f"one of rate, objective, team with env.power.resolve={resolve}")
+    assert allowed.startswith(f"rate or team with env.power.resolve={resolve}")
     assert problems(configured(**changes, access="oma")) == []
 
 
