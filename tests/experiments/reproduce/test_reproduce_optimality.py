@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reproduce_helpers import reproduce_quickly
 
 from conf import compose
 from experiments.analysis import optimality_gap
@@ -34,12 +35,10 @@ def rows(path: Path) -> list[dict[str, str]]:
 def reproduced(tiny_overrides: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The quick target on the tiny task."""
     out: Path = tmp_path_factory.mktemp("optimality")
-    own = ("run.", "runtime", "train.max_ticks")
-    keys = [item for item in tiny_overrides if not item.startswith(own)]
-    command = ["reproduce", "optimality", "--quick", "--out", str(out), "hydra/launcher=basic"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(optimality, "STARTS", STARTS)
-        assert main([*command, *keys, "train.max_ticks=60", "train.worlds=4"]) == 0
+        keys = ("train.max_ticks=60", "train.worlds=4")
+        reproduce_quickly("optimality", out, tiny_overrides, *keys)
     return out
 
 

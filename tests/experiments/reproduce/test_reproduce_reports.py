@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from reproduce_helpers import reproduce_quickly
 
-from experiments.cli import main
 from experiments.reproduce.results.output import save_figure
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.targets import ablations, fig3
@@ -93,11 +93,8 @@ def test_the_command_trains_reports_and_says_what_it_came_from(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    own = ("run.", "runtime", "train.max_ticks")
-    kept = [item for item in tiny_overrides if not item.startswith(own)]
     out = tmp_path / "out"
-    command = ["reproduce", "fig3", "--quick", "--out", str(out), "hydra/launcher=basic"]
-    assert main([*command, *kept, "train.max_ticks=40"]) == 0
+    reproduce_quickly("fig3", out, tiny_overrides, "train.max_ticks=40")
     printed = capsys.readouterr().out
     assert "10 runs to train, 0 done before" in printed
     manifest = json.loads((out / "fig3.manifest.json").read_text())

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from reproduce_helpers import without_a_targets_own
 from rich.console import Console
 
 from conf import Config, ConfigError
@@ -36,9 +37,7 @@ PATIENCE_S = 300.0
 @pytest.fixture(scope="module")
 def overrides(tiny_overrides: tuple[str, ...]) -> list[str]:
     """The tiny task without what a target sets itself; checkpoints at every second window."""
-    own = ("run.", "runtime", "train.max_ticks")
-    kept = [item for item in tiny_overrides if not item.startswith(own)]
-    return [*kept, "train.max_ticks=40", "state.every=2"]
+    return [*without_a_targets_own(tiny_overrides), "train.max_ticks=40", "state.every=2"]
 
 
 def planned(overrides: Sequence[str], out: Path) -> Plan:

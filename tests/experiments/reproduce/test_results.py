@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from reproduce_helpers import reproduce_quickly
 from safetensors.numpy import load_file
 
 from conf import fingerprint
@@ -74,12 +75,9 @@ def check_files(results: Path) -> None:
 def reproduced(tiny_overrides: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fig. 3 of the tiny task."""
     out: Path = tmp_path_factory.mktemp("reproduced")
-    own = ("run.", "runtime", "train.max_ticks")
-    keys = [item for item in tiny_overrides if not item.startswith(own)]
-    command = ["reproduce", "fig3", "--quick", "--out", str(out), "hydra/launcher=basic"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fig3, "QUICK_SEEDS", (10,))
-        assert main([*command, *keys, "train.max_ticks=100"]) == 0
+        reproduce_quickly("fig3", out, tiny_overrides, "train.max_ticks=100")
     return out
 
 
