@@ -19,6 +19,7 @@ FEW = 16
 """Records that are sooner checked one by one than all together."""
 
 _FIELDS = ["cell", "outcome_cell", "rate", "channel_db", "outcome_channel_db"]
+_BROADCASTS = ("broadcast", "outcome_broadcast")
 
 
 def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int) -> None:
@@ -37,14 +38,10 @@ def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells:
     if len(updates) > FEW:  # of many, only those that something is wrong with are looked at
         rows = _suspects(updates, cells)
         robots, updates = [robots[row] for row in rows], updates[rows]
+    bounds = _bounds(cells)
     for robot, received in zip(robots, updates[_FIELDS].tolist(), strict=True):
-        cell, reached, rate, channel_db, reached_db = received
-        if not (
-            0 <= cell < cells
-            and 0 <= reached < cells
-            and 0.0 <= rate <= RATE_LIMIT
-            and -CHANNEL_LIMIT_DB <= channel_db <= CHANNEL_LIMIT_DB
-            and -CHANNEL_LIMIT_DB <= reached_db <= CHANNEL_LIMIT_DB
+        if not all(
+            least <= value <= most for value, (least, most) in zip(received, bounds, strict=True)
         ):
             values = ", ".join(
                 f"{name}={value:g}" for name, value in zip(_FIELDS, received, strict=True)
@@ -54,21 +51,28 @@ def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells:
                 f" {cells - 1}, rates 0 to {RATE_LIMIT:g} bit/s/Hz, channels within"
                 f" {CHANNEL_LIMIT_DB:g} dB of 0"
             )
-    if "broadcast" in (updates.dtype.names or ()):
-        for name in ("broadcast", "outcome_broadcast"):
-            _check_finite(tick, robots, updates[name].sum(axis=-1), "a broadcast to")
+    for name in _broadcasts(updates):
+        _check_finite(tick, robots, updates[name].sum(axis=-1), "a broadcast to")
+
+
+def _bounds(cells: int) -> tuple[tuple[float, float], ...]:
+    """The least and the most that each of the fields may be."""
+    cell, channel_db = (0, cells - 1), (-CHANNEL_LIMIT_DB, CHANNEL_LIMIT_DB)
+    return cell, cell, (0.0, RATE_LIMIT), channel_db, channel_db
+
+
+def _broadcasts(updates: np.ndarray) -> tuple[str, ...]:
+    """The fields of what the access point tells, if there are any."""
+    return _BROADCASTS if "broadcast" in (updates.dtype.names or ()) else ()
 
 
 def _suspects(updates: np.ndarray, cells: int) -> NDArray[np.intp]:
     """The rows in which a number is out of range."""
-    sound = (updates["rate"] >= 0.0) & (updates["rate"] <= RATE_LIMIT)
-    for name in ("cell", "outcome_cell"):
-        sound &= (updates[name] >= 0) & (updates[name] < cells)
-    for name in ("channel_db", "outcome_channel_db"):
-        sound &= np.abs(updates[name]) <= CHANNEL_LIMIT_DB
-    if "broadcast" in (updates.dtype.names or ()):
-        for name in ("broadcast", "outcome_broadcast"):
-            sound &= np.isfinite(updates[name].sum(axis=-1))
+    sound = np.ones(len(updates), dtype=bool)
+    for name, (least, most) in zip(_FIELDS, _bounds(cells), strict=True):
+        sound &= (updates[name] >= least) & (updates[name] <= most)
+    for name in _broadcasts(updates):
+        sound &= np.isfinite(updates[name].sum(axis=-1))
     return np.flatnonzero(~sound)
 
 

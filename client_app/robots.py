@@ -46,6 +46,7 @@ class RobotGroup:
         self._rows = tuple(robot for robot in robots for _ in range(config.train.worlds))
         own = Scenario.drawn(config.env, config.seed).of(robots)
         self._slice = LocalEnv(own, config.train.worlds)
+        self._seen = ("cell", "channel_db", "broadcast")[: 3 if self._slice.broadcast_size else 2]
         self._is_credited = own.rewards.weighs_credit
         self.agents = DQN(
             robot_network(config),
@@ -68,8 +69,7 @@ class RobotGroup:
         check_received(step.tick, self._rows, updates, self._slice.cells)
         flags = updates["flags"]
         learning = (flags & OUTCOME) != 0
-        told = updates["broadcast"] if self._slice.broadcast_size else None
-        observation = self._slice.observe(updates["cell"], updates["channel_db"], told)
+        observation = self._observed(updates)
         if learning.any():
             self._learn(step.tick, updates, observation, learning, (flags & ARRIVED) != 0)
         self._cell, self._observation = updates["cell"], observation
@@ -94,16 +94,18 @@ class RobotGroup:
         check_rewards(tick, self._rows, reward, learning)
         next_observation = observation
         if self._has_begun_anew(updates):
-            told = updates["outcome_broadcast"] if self._slice.broadcast_size else None
-            next_observation = self._slice.observe(reached, updates["outcome_channel_db"], told)
+            next_observation = self._observed(updates, "outcome_")
         self.agents.learn(
             self._observation, self._action, reward, next_observation, arrived, learning
         )
 
+    def _observed(self, updates: np.ndarray, of: str = "") -> NDArray[np.float32]:
+        """s_L as the records have it of now, or of the ``outcome_``."""
+        return self._slice.observe(*(updates[of + part] for part in self._seen))
+
     def _has_begun_anew(self, updates: np.ndarray) -> bool:
         """Whether anything is observed now that the outcome did not lead to."""
-        parts = ("cell", "channel_db", "broadcast")[: 3 if self._slice.broadcast_size else 2]
-        return any((updates[part] != updates[f"outcome_{part}"]).any() for part in parts)
+        return any((updates[part] != updates[f"outcome_{part}"]).any() for part in self._seen)
 
     def upload(self) -> NDArray[np.float32]:
         """Online and target weights of each robot, float32, shape (n, 2, P)."""

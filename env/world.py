@@ -193,26 +193,23 @@ class World:
         self.driving = self.driving | worlds[:, None]
         self.slot = np.where(worlds, 0, self.slot)
         if self._fading is not None:
-            los, k_db = (
-                self.radio_map.direct_los[self.cell[worlds]],
-                self.config.channel.rician_k_db,
-            )
             self._fading = self._fading.copy()
-            self._fading[worlds] = small_scale_fading(los, k_db, self.generator)
+            self._fading[worlds] = self._drawn_fading(self.cell[worlds], self.generator)
 
     def _draw_fading(self) -> None:
         """Draws the next slot's fading of hbar, if each slot has its own."""
         if self.config.channel.fading != "slot":
             return
         sources = self._fading_sources or [self.generator]
-        k_db = self.config.channel.rician_k_db
-        blocks = np.split(self.radio_map.direct_los[self.cell], len(sources))
-        self._fading = np.concatenate(
-            [
-                small_scale_fading(los, k_db, source)
-                for los, source in zip(blocks, sources, strict=True)
-            ]
-        )
+        blocks = zip(np.split(self.cell, len(sources)), sources, strict=True)
+        self._fading = np.concatenate([self._drawn_fading(*block) for block in blocks])
+
+    def _drawn_fading(
+        self, cell: NDArray[np.int64], source: np.random.Generator
+    ) -> NDArray[np.complex128]:
+        """A slot's fading of hbar in some cells, of their shape."""
+        los, k_db = self.radio_map.direct_los[cell], self.config.channel.rician_k_db
+        return small_scale_fading(los, k_db, source)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Where an episode is, as copies; without the random streams."""

@@ -179,7 +179,7 @@ class Coordinator:
         if ends:  # what is counted and seen of an episode comes before the next one begins
             next_observation = self._count(outcome)
             self._end_episodes(ended)
-        self._observe_into(updates)
+        self._observe_into(updates, anew=ends)
         expect = Expect.ACTIONS
         if last:
             expect = Expect.END_ROUND if self._is_over() else Expect.WEIGHTS
@@ -231,14 +231,18 @@ class Coordinator:
                 updates["outcome_broadcast"] = _by_robot(world.broadcast())
         return updates
 
-    def _observe_into(self, updates: np.ndarray) -> None:
-        """Adds what each robot observes now, after a reset where an episode has just ended."""
+    def _observe_into(self, updates: np.ndarray, *, anew: bool = True) -> None:
+        """Adds what each robot observes now, after a reset where an episode has just ended.
+
+        If nothing has begun ``anew``, that is what the outcome led to.
+        """
         world = self._world
         updates["flags"] |= _by_robot(world.driving) * DRIVING
         updates["cell"] = _by_robot(world.cell)
         updates["channel_db"] = _by_robot(world.measured_db)
         if self._layout.broadcast:
-            updates["broadcast"] = _by_robot(world.broadcast())
+            led_to = updates["outcome_broadcast"]
+            updates["broadcast"] = _by_robot(world.broadcast()) if anew else led_to
 
 
 def _by_robot(values: NDArray[Any]) -> NDArray[Any]:

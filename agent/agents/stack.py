@@ -87,14 +87,14 @@ class ReplayAgents:
         Returns:
             Mean losses, nan where no update was made, shape (n,).
         """
-        acts = active.reshape(len(self), self.worlds)
-        acting: list[bool] = np.logical_or.reduce(acts, axis=1).tolist()
+        where = active.reshape(len(self), self.worlds)
+        acting: list[bool] = np.logical_or.reduce(where, axis=1).tolist()
         stored = [
-            self._store(agent, acts[agent]) if any_ else 0 for agent, any_ in enumerate(acting)
+            self._store(agent, where[agent]) if acts else 0 for agent, acts in enumerate(acting)
         ]
         learning = [
-            any_ and len(replay) >= self._config.learn_from
-            for any_, replay in zip(acting, self._replays, strict=True)
+            acts and len(replay) >= self._config.learn_from
+            for acts, replay in zip(acting, self._replays, strict=True)
         ]
         losses = self._update(learning)
         for _ in range(self._config.updates - 1):

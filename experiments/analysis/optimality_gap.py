@@ -49,7 +49,7 @@ def shortest_measures(evaluator: Evaluator, seed: int) -> Measures:
     """
     world, starts = evaluator.world, evaluator.starts
     generator = stream(seed, Stream.EVALUATION, 3)
-    weights = per_slot.objective_weights(world, world.slots_to_go[starts, np.arange(world.robots)])
+    weights = _weights(world, starts)
 
     def canonical(phase: NDArray[np.int64]) -> Served:
         gain = world.radio_map.gain(world.cell, phase)
@@ -81,8 +81,13 @@ def shortest_best_measures(evaluator: Evaluator) -> EpisodeMeasures:
         evaluator: the held-out episodes.
     """
     world, starts = evaluator.world, evaluator.starts
-    weights = per_slot.objective_weights(world, world.slots_to_go[starts, np.arange(world.robots)])
+    weights = _weights(world, starts)
     return _played(world, starts, lambda world: per_slot.best_phase_and_powers(world, weights))
+
+
+def _weights(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """What rates count for in (5a) on shortest ways from cells, (B, K), same shape."""
+    return per_slot.objective_weights(world, world.slots_to_go[starts, np.arange(world.robots)])
 
 
 def _constant(

@@ -134,8 +134,7 @@ class _Ruled:
 
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         if self._drive == "shortest_best":
-            slots = world.slot[:, None] + world.shortest_slots
-            weights_5a = per_slot.objective_weights(world, slots)
+            weights_5a = per_slot.objective_weights(world, world.travel_slots)
             phase, level = per_slot.best_phase_and_powers(world, weights_5a)
             return Decision(phase, per_slot.shortest_directions(world), level)
         phase = np.broadcast_to(self._fixed, len(world.cell))
