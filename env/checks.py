@@ -49,7 +49,7 @@ def planned_config(plan: str) -> EnvConfig:
     """The defaults with a floor plan's geometry, its types checked and its values not yet.
 
     Args:
-        plan: the name of a built-in plan, or the path of a TOML file.
+        plan: the name of a built-in plan, ``random:SEED``, or the path of a TOML file.
 
     Raises:
         ValueError: naming the plan, the key and what is allowed.

@@ -221,7 +221,8 @@ class EnvConfig:
     """
 
     plan: Annotated[
-        str, "default, corridor, hall, or the path of a TOML file (docs/floor_plans.md)"
+        str,
+        "default, corridor, hall, random:SEED, or the path of a TOML file (docs/floor_plans.md)",
     ] = "default"
     robots: Annotated[int, Interval(ge=1, le=64), "K"] = 3
     map_seed: Annotated[int, Ge(0)] = 0

@@ -22,13 +22,15 @@ class Stream(IntEnum):
     EVALUATION = 5
     RADIO_MAP = 6
     GATHERING = 7
+    FLOOR = 8
 
 
 def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:
     """A generator of its own for one use.
 
     Args:
-        seed: the run's seed (or the map's, for ``Stream.RADIO_MAP``), at least 0.
+        seed: the run's seed (the map's for ``Stream.RADIO_MAP``, the floor's for
+            ``Stream.FLOOR``), at least 0.
         name: what the stream is for.
         index: which one, where there are several (robot k).
 

@@ -1,7 +1,8 @@
-"""Floor plans from plain TOML files: the built-in ones of ``plans`` here and a user's own."""
+"""Floor plans: built-in ones, the TOML files of ``plans`` here; a user's own; ones from a seed."""
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
@@ -9,10 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from env.config import RoomConfig, TasksConfig, WallsConfig
+from env.geometry.random_floors import random_plan
 from env.texts import read_text
 
 FOLDER = Path(__file__).parent / "plans"
 DEFAULT = "default"
+RANDOM = "random"
+"""Before a colon and a seed: the plan that is drawn from it."""
 KEYS = (
     *(f"room.{item.name}" for item in fields(RoomConfig)),
     *(f"walls.{item.name}" for item in fields(WallsConfig)),
@@ -31,21 +35,30 @@ def built_in() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
-def find(name: str) -> Path:
-    """The file of a plan.
+def find(name: str) -> Path | int:
+    """The file of a plan, or the seed that it is drawn from.
 
     Args:
-        name: of a built-in plan; or the path of a file, relative to the working folder.
+        name: of a built-in plan; ``random:SEED``; or the path of a file, relative to the working
+            folder.
 
     Raises:
-        ValueError: there is no such plan and no such file.
+        ValueError: there is no such plan and no such file, or the seed is none.
     """
+    word, _, seed = name.partition(":")
+    if word == RANDOM:
+        if re.fullmatch("[0-9]{1,18}", seed):
+            return int(seed)
+        allowed = f"{RANDOM}:SEED with a whole number of at most 18 digits, as in {RANDOM}:7"
+        raise ValueError(f"env.plan={name}: allowed is {allowed}")
     own = Path(name).expanduser()
     if name in built_in():
         return FOLDER / f"{name}.toml"
     if own.is_file():
         return own
-    allowed = f"one of {', '.join(built_in())}, or the path of a TOML file that exists"
+    allowed = (
+        f"one of {', '.join(built_in())}, {RANDOM}:SEED, or the path of a TOML file that exists"
+    )
     raise ValueError(f"env.plan={name}: allowed is {allowed}")
 
 
@@ -53,14 +66,16 @@ def read(name: str) -> dict[str, Any]:
     """What a plan sets: fields of ``EnvConfig``, nested; types and values are not checked here.
 
     Args:
-        name: of a built-in plan, or the path of a file.
+        name: of a built-in plan, ``random:SEED``, or the path of a file.
 
     Raises:
         ValueError: no such plan, no TOML, or a key that no plan may set.
     """
-    path = find(name)
+    found = find(name)
+    if isinstance(found, int):
+        return random_plan(found)
     try:
-        values = tomllib.loads(read_text(path))
+        values = tomllib.loads(read_text(found))
     except (OSError, UnicodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"env.plan={name}: allowed is a TOML file ({error})") from error
     for key, value in _leaves(values):

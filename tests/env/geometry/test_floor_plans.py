@@ -241,7 +241,8 @@ def test_a_wrong_value_in_a_plan_is_named_as_anywhere_else(own, text, part):
 
 @pytest.mark.parametrize("name", ["corridr", "plans/none.toml", "plans", "12"])
 def test_a_plan_that_does_not_exist_is_named_with_those_that_do(own, name):
-    allowed = "allowed is one of corridor, default, hall, or the path of a TOML file that exists."
+    names = "corridor, default, hall, random:SEED"
+    allowed = f"allowed is one of {names}, or the path of a TOML file that exists."
     with pytest.raises(ConfigError) as caught:
         compose([f"env.plan={name}"])
     assert str(caught.value) == f"env.plan={name}: {allowed}"
