@@ -14,8 +14,7 @@ from env.episode import EpisodeMeasures
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
-from experiments.runtimes.local import InProcessFleet
-from lockstep import Fleet
+from lockstep import Fleet, InProcessFleet
 from training.aggregation.strategies import build_aggregator
 from training.controllers.access_point import AccessPoint
 from training.controllers.central import CentralAgent

@@ -34,8 +34,7 @@ from benchmarks.result import Result, micro, take_turns
 from benchmarks.sockets import echoing
 from client_app.robots import RobotGroup
 from conf import Config
-from experiments.runtimes.local import InProcessFleet
-from lockstep import Expect, Robots, Step
+from lockstep import Expect, InProcessFleet, Robots, Step
 from lockstep.messages import PLAIN
 from lockstep.wire_format import actions_size, step_size
 

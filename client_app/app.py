@@ -14,12 +14,14 @@ from flwr.app import Array, ArrayRecord, ConfigRecord, Context, Message, MetricR
 from flwr.clientapp import ClientApp
 
 from agent import single_threaded
+from client_app.rooms import RoomKeeper, held_rooms
 from client_app.state import CheckpointedRobots, held_robots
-from conf import Config, fingerprint, from_yaml, waits_for_the_lost
+from conf import Config, fingerprint, from_yaml, has_rooms, waits_for_the_lost
 from lockstep import serve
 from lockstep.tls import client_context
 from storage.checkpoint_layout import node_folder
 from training.partition import step_layout
+from training.room_messages import ROOMS, read_asked, replied
 from training.run_folder import RunFolder
 from training.run_log import log_lines
 
@@ -28,6 +30,10 @@ STATE_DIR = "state-dir"
 
 log = logging.getLogger(__name__)
 app = ClientApp()
+
+_keepers: dict[str, RoomKeeper] = {}
+"""The rooms of the run that this process played last, by its folder of checkpoints: a process of
+the simulation lives on from message to message."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +74,11 @@ class RoundConfig:
 
 @app.train()
 def train(message: Message, context: Context) -> Message:
-    """Serves one round of windows and replies with the robots' weights."""
+    """Serves one round of windows and replies with the robots' weights, or those of its rooms."""
     single_threaded()
     began = time.process_time()
+    if ROOMS in message.content.config_records:
+        return _play_rooms(message, context)
     order = RoundConfig.read(message.content.config_records["order"])
     model = message.content.array_records["arrays"].get("model")
     folder = state_folder(order.config, context.node_config)
@@ -89,12 +97,37 @@ def train(message: Message, context: Context) -> Message:
     return Message(content=content, reply_to=message)
 
 
+def _play_rooms(message: Message, context: Context) -> Message:
+    """Plays a round in the rooms that this client hosts."""
+    began = time.process_time()
+    config, version, task = read_asked(message.content)
+    if version != fingerprint(config.env):
+        raise RuntimeError(
+            "this node has another version of RISFleet, torch or plug-ins, or another type of CPU,"
+            " than the ServerApp: its rooms would not end in the same bits"
+        )
+    state = state_folder(config, context.node_config)
+    keeper = _keepers.get(str(state))
+    if keeper is None:
+        _keepers.clear()  # of an earlier run, where a process outlives one
+        keeper = _keepers[str(state)] = RoomKeeper(config, state)
+    rooms = [each.room.index for each in task.rooms]
+    with log_lines(config.run.id, task.number, rooms, "room"):
+        reports = keeper.play(task)
+    content = replied(reports, time.process_time() - began)
+    return Message(content=content, reply_to=message)
+
+
 @app.query()
 def query(message: Message, context: Context) -> Message:
-    """Replies which robots' state this node holds."""
+    """Replies which robots' state, or that of which rooms, this node holds."""
     order = message.content.config_records["order"]
     config = from_yaml(str(order["config"]))
-    held = held_robots(state_folder(config, context.node_config), config.env.robots)
+    state = state_folder(config, context.node_config)
+    if has_rooms(config):
+        held = held_rooms(state, config.rooms.count)
+    else:
+        held = held_robots(state, config.env.robots)
     return Message(RecordDict({"held": ConfigRecord({"robots": held})}), reply_to=message)
 
 

@@ -20,6 +20,7 @@ from conf.schema import (
     SchemeConfig,
     StrategyConfig,
     flower_clients,
+    has_rooms,
     waits_for_the_lost,
     windows_per_round,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "fingerprint",
     "flower_clients",
     "from_yaml",
+    "has_rooms",
     "joint_actions",
     "learns_nothing",
     "overridden",

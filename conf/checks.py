@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator
 
 from agent import config as agent
-from conf import scheme_checks, strategy_checks
-from conf.schema import Config
+from conf import room_checks, scheme_checks, strategy_checks
+from conf.schema import Config, has_rooms
 from env import validate
 from env.config_checks import RULES as ENV_RULES
 from env.mdp import lateness
@@ -27,9 +27,11 @@ def problems(config: Config) -> list[Problem]:
 
 
 def _run_rules(config: Config) -> Iterator[Problem]:
-    robots, clients = config.env.robots, config.federation.clients
-    if clients is not None and not 1 <= clients <= robots:
-        say = f"a number from 1 to env.robots={robots}, or null"
+    clients, key, most = config.federation.clients, "env.robots", config.env.robots
+    if has_rooms(config):
+        key, most = "rooms.count", config.rooms.count
+    if clients is not None and not 1 <= clients <= most:
+        say = f"a number from 1 to {key}={most}, or null"
         yield "federation.clients", clients, say
     if config.run.id is not None and not RUN_ID.fullmatch(config.run.id):
         yield "run.id", config.run.id, "null, or 16 hexadecimal digits"
@@ -67,5 +69,11 @@ def _destination_rules(config: Config) -> list[Problem]:
     return lateness.problems(config.env, destinations)
 
 
-RULES = (_agent_rules, scheme_checks.rules, _destination_rules, strategy_checks.rules)
+RULES = (
+    _agent_rules,
+    scheme_checks.rules,
+    _destination_rules,
+    strategy_checks.rules,
+    room_checks.rules,
+)
 """Each counts on those before it."""

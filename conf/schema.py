@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Interval
 
@@ -102,10 +102,41 @@ class FederationConfig:
     ] = None
     clients: Annotated[int | None, "Flower clients; null is min(K, 4), deployed K"] = None
     on_loss: Annotated[
-        str, Literal["wait", "abort"], "wait for a robot or process that is lost to come back"
+        str,
+        Literal["wait", "abort", "miss"],
+        "wait for a robot or process that is lost to come back; miss: its rooms miss the round",
     ] = "wait"
     loss_timeout_s: Annotated[Seconds, "how long to wait for it"] = 300.0
     link: LinkConfig = field(default_factory=LinkConfig)
+
+
+@dataclass(frozen=True)
+class RoomsConfig:
+    """A building of rooms, each a world with an access point, a surface and robots of its own.
+
+    What differs from room to room is dealt in turn: room r has the plan ``plans[r % len(plans)]``
+    and so on. Its seed, which draws its radio map, starts and destinations, comes from the run's.
+    """
+
+    count: Annotated[int, Interval(ge=1, le=10_000), "R; 1 is the one room of env"] = 1
+    plans: Annotated[
+        list[Any], "floor plans; random is a floor of its own for each room, [] is env.plan"
+    ] = field(default_factory=list)
+    robots: Annotated[list[int], "K; [] is env.robots"] = field(default_factory=list)
+    every: Annotated[int, Interval(ge=1, le=1_000_000), "windows between averages of rooms"] = 4
+    access_points: Annotated[
+        str, Literal["own", "mean"], "their networks: each its own, or averaged as the robots' are"
+    ] = "own"
+    fraction: Annotated[
+        float, Interval(gt=0, le=1), "of the rooms that take part in a round, drawn anew"
+    ] = 1.0
+    held_out: Annotated[
+        int, Interval(ge=0, le=10_000), "rooms that nobody trains in, to evaluate in"
+    ] = 0
+    evaluated: Annotated[
+        int, Interval(ge=1, le=10_000), "rooms of each kind at most that an evaluation plays in"
+    ] = 16
+    strategy: StrategyConfig = field(default_factory=StrategyConfig)
 
 
 @dataclass(frozen=True)
@@ -146,6 +177,7 @@ class Config:
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     federation: FederationConfig = field(default_factory=FederationConfig)
+    rooms: RoomsConfig = field(default_factory=RoomsConfig)
     state: CheckpointConfig = field(default_factory=CheckpointConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     run: RunConfig = field(default_factory=RunConfig)
@@ -166,10 +198,17 @@ def windows_per_round(config: Config) -> int:
 
 
 def flower_clients(config: Config) -> int:
-    """Flower clients that the robots are dealt to."""
+    """Flower clients that the robots, or in a building the rooms, are dealt to."""
+    if has_rooms(config):
+        return config.federation.clients or min(config.rooms.count, DEFAULT_CLIENTS)
     robots = config.env.robots
     default = robots if config.runtime.name == "deployment" else min(robots, DEFAULT_CLIENTS)
     return config.federation.clients or default
+
+
+def has_rooms(config: Config) -> bool:
+    """Whether a run is of a building, and not of the one room that ``env`` describes."""
+    return config.rooms.count > 1
 
 
 def waits_for_the_lost(config: Config) -> bool:

@@ -25,12 +25,13 @@ def rules(config: Config) -> Iterator[Problem]:
     return problems(config.strategy, config.env.robots)
 
 
-def problems(config: StrategyConfig, robots: int) -> Iterator[Problem]:
+def problems(config: StrategyConfig, count: int, counted: str = "env.robots") -> Iterator[Problem]:
     """What is wrong with a configuration: keys, their values, and what is allowed.
 
     Args:
         config: the group ``strategy``.
-        robots: K.
+        count: how many are averaged.
+        counted: the key that says so.
     """
     if config.name not in KEYS:
         yield "strategy.name", config.name, f"one of {', '.join(KEYS)}"
@@ -43,33 +44,33 @@ def problems(config: StrategyConfig, robots: int) -> Iterator[Problem]:
         allowed = f"{field.default} with strategy={config.name}: only {readers} reads it"
         yield f"strategy.{field.name}", value, allowed
     if config.name in _RULES:
-        yield from _RULES[config.name](config, robots)
+        yield from _RULES[config.name](config, count, counted)
 
 
-def _fedprox(config: StrategyConfig, robots: int) -> Iterator[Problem]:
+def _fedprox(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     if not config.proximal_mu > 0:
         allowed = "a number above 0 (without the proximal term it is strategy=fedavg)"
         yield "strategy.proximal_mu", config.proximal_mu, allowed
 
 
-def _krum(config: StrategyConfig, robots: int) -> Iterator[Problem]:
+def _krum(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     """Krum tolerates f of K robots where K >= 2f + 3 (Blanchard et al., 2017, Proposition 2)."""
-    most = (robots - 3) // 2
+    most = (count - 3) // 2
     if most < 0:
-        yield "strategy.name", config.name, f"env.robots of at least 3, not {robots}"
+        yield "strategy.name", config.name, f"{counted} of at least 3, not {count}"
     elif config.malicious > most:
-        allowed = f"from 0 to {most}: Krum needs env.robots={robots} to be at least 2 malicious + 3"
+        allowed = f"from 0 to {most}: Krum needs {counted}={count} to be at least 2 malicious + 3"
         yield "strategy.malicious", config.malicious, allowed
 
 
-def _fedadam(config: StrategyConfig, robots: int) -> Iterator[Problem]:
+def _fedadam(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     """What Reddi et al., 2021, Algorithm 2 allows."""
     if not config.tau > 0:
         allowed = "a number above 0: the root of the squares is 0 where no robot moves a weight"
         yield "strategy.tau", config.tau, allowed
 
 
-_RULES: dict[str, Callable[[StrategyConfig, int], Iterator[Problem]]] = {
+_RULES: dict[str, Callable[[StrategyConfig, int, str], Iterator[Problem]]] = {
     "fedadam": _fedadam,
     "fedprox": _fedprox,
     "krum": _krum,

@@ -32,7 +32,7 @@ def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvCo
         given = {} if config is None else config
         plan = given.get("plan", floor_plans.DEFAULT) if isinstance(given, Mapping) else None
         base = planned_config(plan) if isinstance(plan, str) else EnvConfig()
-        whole = _replaced(base, given, "env")
+        whole = replaced(base, given, "env")
     refuse(problems(whole))
     return whole
 
@@ -56,13 +56,22 @@ def planned_config(plan: str) -> EnvConfig:
     """
     values = floor_plans.read(plan)
     above = f"env.plan={plan}: env"
-    config: EnvConfig = _replaced(EnvConfig(plan=plan), values, above)
+    config: EnvConfig = replaced(EnvConfig(plan=plan), values, above)
     refuse(list(value_problems(config, f"{above}.")))
     return config
 
 
-def _replaced(base: Any, values: Any, key: str) -> Any:
-    """A dataclass with some fields replaced, whatever their types; sequences become lists."""
+def replaced(base: Any, values: Any, key: str) -> Any:
+    """A dataclass with some fields replaced, whatever their types; sequences become lists.
+
+    Args:
+        base: a dataclass, further ones nested in it.
+        values: from the names of fields to their values, nested alike.
+        key: what the dataclass is called in a message.
+
+    Raises:
+        ValueError: there is no such field.
+    """
     if not isinstance(values, Mapping):
         raise ValueError(f"{key}={values!r}: allowed is a mapping of its fields")
     names = [field.name for field in fields(base)]
@@ -72,7 +81,7 @@ def _replaced(base: Any, values: Any, key: str) -> Any:
             raise ValueError(f"{key}.{name}={value!r}: allowed keys are {', '.join(names)}")
         old = getattr(base, name)
         nested = is_dataclass(old) and not isinstance(value, type(old))
-        changes[name] = _replaced(old, value, f"{key}.{name}") if nested else _as_list(value)
+        changes[name] = replaced(old, value, f"{key}.{name}") if nested else _as_list(value)
     return replace(base, **changes)
 
 

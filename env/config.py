@@ -13,6 +13,7 @@ from annotated_types import Ge, Gt, Interval
 
 MAX_PHASE_ACTIONS = 4096
 MAX_CELLS = 250_000
+MAX_ROBOTS = 64
 MAX_PAIRS = 10**9  # of elements and cells whose distances the far and near field need
 
 Positive = Annotated[float, Gt(0)]
@@ -224,7 +225,7 @@ class EnvConfig:
         str,
         "default, corridor, hall, random:SEED, or the path of a TOML file (docs/floor_plans.md)",
     ] = "default"
-    robots: Annotated[int, Interval(ge=1, le=64), "K"] = 3
+    robots: Annotated[int, Interval(ge=1, le=MAX_ROBOTS), "K"] = 3
     map_seed: Annotated[int, Ge(0)] = 0
     collisions: Annotated[
         str, Literal["allow", "block"], "block: no robot enters a cell that another holds"

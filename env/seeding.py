@@ -23,6 +23,9 @@ class Stream(IntEnum):
     RADIO_MAP = 6
     GATHERING = 7
     FLOOR = 8
+    ROOM = 9
+    HELD_OUT_ROOM = 10
+    PARTICIPATION = 11
 
 
 def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:

@@ -12,7 +12,7 @@ from lockstep.errors import (
     ServerLost,
 )
 from lockstep.interface import Fleet, Robots
-from lockstep.local import LocalFleet
+from lockstep.local import InProcessFleet, LocalFleet
 from lockstep.messages import UPDATE, Expect, Flag, Layout, Step
 from lockstep.server import LinkServer
 
@@ -22,6 +22,7 @@ __all__ = [
     "Flag",
     "Fleet",
     "FrameError",
+    "InProcessFleet",
     "Layout",
     "LinkError",
     "LinkServer",

@@ -10,9 +10,10 @@ from pathlib import Path
 from flwr.app import Context
 from flwr.serverapp import Grid, ServerApp
 
-from conf import Config, ConfigError, fingerprint
+from conf import Config, ConfigError, fingerprint, flower_clients, has_rooms
 from lockstep import LinkServer
 from lockstep.tls import server_context
+from server_app.buildings import train_building
 from server_app.certificates import run_certificate
 from server_app.clients import Clients
 from server_app.nodes import wait_for_nodes
@@ -48,7 +49,13 @@ def main(grid: Grid, context: Context) -> None:
 
 
 def _train(grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | None) -> None:
-    """Deals the robots to the federation's nodes and trains with them."""
+    """Deals the robots, or the rooms, to the federation's nodes and trains with them."""
+    if has_rooms(config):
+        run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
+        config = dataclasses.replace(config, run=run)
+        if config.federation.on_loss != "miss":
+            wait_for_nodes(grid, flower_clients(config), config.runtime.start_timeout_s)
+        return train_building(grid, config, folder, resumed)
     check_address(config)
     where = config.federation.link
     certificate, key = run_certificate(where.host) if uses_tls(config) else ("", "")

@@ -45,3 +45,13 @@ def owner(run: str | None) -> dict[str, Json]:
 def robot_owner(run: str | None, robot: int) -> dict[str, Json]:
     """The same of a robot's checkpoint."""
     return {**owner(run), "robot": robot}
+
+
+def room_folder(state: Path, room: str) -> Path:
+    """The checkpoints of one room of a building, its access point's and robots' in one file."""
+    return state / "rooms" / room
+
+
+def room_owner(run: str | None, room: str) -> dict[str, Json]:
+    """The same of a room's checkpoint."""
+    return {**owner(run), "room": room}

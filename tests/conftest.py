@@ -170,7 +170,7 @@ def _local_fleet(
     config: Any, blocks: Sequence[tuple[int, ...]], initial: NDArray[np.float32]
 ) -> Any:
     from client_app.robots import RobotGroup
-    from experiments.runtimes.local import InProcessFleet
+    from lockstep import InProcessFleet
     from training.partition import step_layout
 
     groups = []

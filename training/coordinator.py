@@ -81,14 +81,36 @@ class Coordinator:
         Returns:
             The robots' weights after the last aggregation, shape (K, 2, P).
         """
-        model, final = initial, False
+        model = self.begin(initial, resumed)
+        if resumed is not None and self._is_over():  # it died after its last window
+            return self._rows(model)
+        return self.play(model)
+
+    def begin(
+        self, initial: NDArray[np.float32], resumed: Mapping[str, NDArray[Any]] | None = None
+    ) -> NDArray[np.float32]:
+        """Goes to where the run begins or goes on; arguments as ``run``.
+
+        Returns:
+            The model that robots hold there, shape (2, P).
+        """
         self._world.reset()
         self._tally = EpisodeAccumulator(self._world)
         if resumed is not None:
             self._restore(resumed)
-            model = initial if self._model is None else self._model
-            final = self._is_over()  # it died after its last window
         self._state = self._world.global_observation()
+        return initial if self._model is None else self._model
+
+    def play(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Plays windows until the run is over; may be called again to go on from there.
+
+        Args:
+            model: what all robots hold, shape (2, P).
+
+        Returns:
+            The robots' weights after the last aggregation, shape (K, 2, P).
+        """
+        final = self.stopped = False
         while not final:
             self.progress.window += 1
             window = self.progress.window
@@ -101,6 +123,10 @@ class Coordinator:
                     self._fleet.download(window, model)
             self._observer.on_window(self.progress, self._shared, self._ap.weights())
             self._keep(final)
+        return self._rows(model)
+
+    def _rows(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The robots' weights, shape (K, 2, P)."""
         return np.array(np.broadcast_to(self._shared, (self._world.robots, *model.shape)))
 
     def state(self) -> dict[str, NDArray[Any]]:

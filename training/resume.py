@@ -8,7 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from conf import Config, ConfigError, fingerprint, flower_clients, overridden, robots_learn, to_yaml
+from conf import (
+    Config,
+    ConfigError,
+    fingerprint,
+    flower_clients,
+    has_rooms,
+    overridden,
+    robots_learn,
+    to_yaml,
+)
 from conf.overrides import parse
 from conf.user_paths import RESUME, pasted, resumed_folder
 from env.texts import read_text
@@ -141,8 +150,7 @@ def _checkpoint(folder: RunFolder, config: Config) -> Checkpoint:
         ConfigError: it is another version's.
     """
     elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
-    kept = robots_learn(config) and not elsewhere
-    checkpoint = latest(folder.state, config.env.robots if kept else 0, config.run.id)
+    checkpoint = latest(folder.state, 0 if elsewhere else kept_robots(config), config.run.id)
     check_files(folder, checkpoint.meta["marks"])
     if checkpoint.meta["fingerprint"] != fingerprint(config.env):
         raise ConfigError(
@@ -150,6 +158,11 @@ def _checkpoint(folder: RunFolder, config: Config) -> Checkpoint:
             " this type of CPU: with another it would not end in the same weights."
         )
     return checkpoint
+
+
+def kept_robots(config: Config) -> int:
+    """The robots that keep checkpoints of their own: none in a building, whose rooms do."""
+    return config.env.robots if robots_learn(config) and not has_rooms(config) else 0
 
 
 def _counts(checkpoint: Checkpoint) -> tuple[int, int]:

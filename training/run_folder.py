@@ -87,6 +87,20 @@ class RunFolder:
         return self.path / "evaluations.csv"
 
     @property
+    def rooms_file(self) -> Path:
+        """The rooms of a building, as ``conf.rooms`` describes them."""
+        return self.path / "rooms.json"
+
+    @property
+    def rooms_log_file(self) -> Path:
+        """Evaluations of a building, two rows for each room: with exploration, then greedy."""
+        return self.path / "rooms.csv"
+
+    def room(self, name: str) -> RunFolder:
+        """The folder of a room, which is that of a run: its configuration and final weights."""
+        return RunFolder(self.path / "rooms" / name)
+
+    @property
     def weights_file(self) -> Path:
         """The final weights."""
         return self.path / "weights.safetensors"
@@ -141,6 +155,7 @@ class RunFolder:
             self.summary_file,
             self.metrics_file,
             self.evaluations_file,
+            self.rooms_log_file,
             self.weights_file,
             self.tensorboard,
         ]
@@ -196,6 +211,18 @@ class RunFolder:
         """The online weights that the run has written: robots (K, P) and access point (P_AP,).
 
         Raises:
+            ConfigError: see ``read_networks``.
+        """
+        robots, ap = self.read_networks(config)
+        return robots[:, 0], ap[0]
+
+    def read_networks(self, config: Config) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """All weights that the run has written, online then target.
+
+        Returns:
+            Those of the robots, shape (K, 2, P), and of the access point, shape (2, P_AP).
+
+        Raises:
             ConfigError: they are missing, damaged or of another size than the configuration's.
         """
         path = self.weights_file
@@ -212,7 +239,7 @@ class RunFolder:
                 found = arrays[name].shape if name in arrays else "nothing"
                 own = self.config_file.name
                 raise ConfigError(f"{path}: {name} is {found} where {own} says {shape}.")
-        return arrays["robots"][:, 0], arrays["ap"][0]
+        return arrays["robots"], arrays["ap"]
 
     def write_weights(self, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
         """Writes the final weights: robots (K, 2, P) and ap (2, P_AP), online then target."""

@@ -17,33 +17,38 @@ class RunLog:
     Attributes:
         run: the run's identity.
         round: the Flower round, 0 before the first.
-        robots: the robots, none on the server.
+        robots: the robots, or rooms, none on the server.
+        kind: which of the two.
     """
 
-    def __init__(self, run: str | None, round_number: int, robots: Sequence[int]) -> None:
+    def __init__(
+        self, run: str | None, round_number: int, robots: Sequence[int], kind: str = "robot"
+    ) -> None:
         self.run, self.round, self.robots = run or "-", round_number, tuple(robots)
+        self.kind = kind
 
     def __str__(self) -> str:
         """As it stands at the head of a line."""
-        who = f"robot {','.join(map(str, self.robots))}" if self.robots else "server"
+        who = f"{self.kind} {','.join(map(str, self.robots))}" if self.robots else "server"
         return f"run {self.run} round {self.round} {who}"
 
 
 @contextmanager
 def log_lines(
-    run: str | None, round_number: int = 0, robots: Sequence[int] = ()
+    run: str | None, round_number: int = 0, robots: Sequence[int] = (), kind: str = "robot"
 ) -> Iterator[RunLog]:
     """Lets our packages log to standard error from the level INFO on, while this lasts.
 
     Args:
         run: the run's identity.
         round_number: the Flower round.
-        robots: the robots of this process, none on the server.
+        robots: the robots, or rooms, of this process, none on the server.
+        kind: which of the two.
 
     Yields:
         What each line says of the run.
     """
-    about = RunLog(run, round_number, robots)
+    about = RunLog(run, round_number, robots, kind)
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s [%(about)s] %(message)s"))
 

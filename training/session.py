@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import single_threaded
-from conf import Config, fingerprint, robot_network, robots_learn, version
+from conf import Config, fingerprint, robot_network, robots_learn
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
@@ -25,11 +25,11 @@ from training.controllers.schemes import build_ris_controller
 from training.coordinator import Coordinator
 from training.evaluation import Evaluator
 from training.recording.costs import Costs
-from training.recording.history import MEASURES, evaluate
+from training.recording.history import evaluate
 from training.recording.recorder import Recorder
+from training.recording.summary import summarise
 from training.run_folder import RunFolder
 
-LAST_EVALUATIONS = 5
 FINAL_EPSILON = 0.05
 
 
@@ -167,41 +167,25 @@ class TrainingRun:
         explored, greedy = evaluate(self.evaluator, online, ap[0], FINAL_EPSILON)
         history = self.recorder.history
         costs = self._costs()
-        summary = {
-            "seed": self.config.seed,
-            "runtime": self.config.runtime.name,
-            "strategy": self.config.strategy.name,
-            "scheme": asdict(self.config.scheme),
-            "robots": self.config.env.robots,
-            "versions": {name: version(name) for name in ("risfleet", "torch", "numpy", "flwr")},
-            "fingerprint": fingerprint(self.config.env),
-            "digest": {"robots": digest(robots), "ap": digest(ap)},
-            "ticks": run.progress.tick,
-            "windows": run.progress.window,
-            "episodes": run.progress.episodes,
+        summary = summarise(
+            self.config,
+            self.recorder,
+            run.progress,
+            (explored, greedy),
+            {"robots": digest(robots), "ap": digest(ap)},
+            costs,
+            trained_s,
+        ) | {
             "stopped_early": run.stopped,
             "wall_s": time.perf_counter() - self._began,
-            "startup_s": self.recorder.started - self.recorder.began,
-            "training_s": trained_s,
-            "evaluation_s": self.recorder.evaluation_s,
             "waited_s": run.waited_s,
             "cpu_s": self.cpu_s(),
-            "steps_per_s": self.recorder.steps_per_s(run.progress),
-            "flower_share": costs.flower_s / trained_s,
-            "costs": asdict(costs),
             "clients": (clients := self.recorder.clients()),
             "communication": {
                 **(per_tick(self.config) if robots_learn(self.config) else {}),
                 "waiting": waiting(clients),
             },
             "losses": self.losses,
-            "converged": history.converged(),
-            "evaluation": {
-                "greedy": {name: greedy[name] for name in MEASURES},
-                "eps05": {name: explored[name] for name in MEASURES},
-                "last5": history.last(LAST_EVALUATIONS),
-                "last5_greedy": history.last(LAST_EVALUATIONS, greedy=True),
-            },
         }
         self.folder.write_summary(summary)
         if self.config.run.figures:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from agent import single_threaded
-from conf import Config, ConfigError, learns_nothing, weight_shapes
+from conf import Config, ConfigError, has_rooms, learns_nothing, weight_shapes
 from conf.user_paths import user_path
+from experiments.analysis import rooms
 from experiments.console.arguments import check_place, not_negative, positive, run_folder, share
 from experiments.console.display import evaluation_table
 from storage.atomic import write_atomically
@@ -27,19 +28,37 @@ def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
     try:
-        config, robots, ap = _read(given.what)
-        epsilons = _epsilons(config, given.epsilon)
         check_place("--json", given.json)
-        results = evaluate(config, robots, ap, given.episodes, epsilons, given.seed)
+        config, results = _results(given)
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
     episodes = given.episodes or config.evaluation.episodes
-    title = f"{' '.join(given.what)}: {episodes} held-out episodes"
+    each = " in each room" if has_rooms(config) else ""
+    title = f"{' '.join(given.what)}: {episodes} held-out episodes{each}"
     Console().print(evaluation_table(title, results))
     if given.json:
         write_atomically(given.json, to_json(results))
     return 0
+
+
+def _results(given: argparse.Namespace) -> tuple[Config, dict[str, dict[str, float]]]:
+    """The configuration of what is played, and the table's columns.
+
+    Raises:
+        ConfigError: it is nothing that can be played so.
+    """
+    folder = run_folder(given.what)
+    if folder is not None and has_rooms(config := folder.read_config()):
+        single_threaded()
+        epsilons = given.epsilon or EPSILONS[:1]
+        wanted = (given.episodes, epsilons, given.seed, given.personalise)
+        return config, rooms.columns(folder, config, *wanted)
+    if given.personalise:
+        raise ConfigError("--personalise is for the run of a building: allowed is none here.")
+    config, robots, ap = _read(given.what)
+    epsilons = _epsilons(config, given.epsilon)
+    return config, evaluate(config, robots, ap, given.episodes, epsilons, given.seed)
 
 
 def evaluate(
@@ -118,6 +137,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
+    )
+    parser.add_argument(
+        "--personalise",
+        type=positive,
+        default=0,
+        metavar="TICKS",
+        help="of a building: let each room learn on by itself, and play it once more",
     )
     parser.add_argument(
         "--json", type=user_path, metavar="FILE", help="write the measures there too"

@@ -19,13 +19,22 @@ SILENT_S = 10.0
 
 
 def _federation(status: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Checkpoint, Flower round and clients, as far as the run has them."""
+    """Checkpoint, Flower round, rooms and clients, as far as the run has them."""
     if status.get("checkpoint") is not None:
         yield "last checkpoint", f"window {status['checkpoint']} of {status['window']}"
     if status.get("round"):
         yield "round", str(status["round"])
+    if (rooms := status.get("rooms")) is not None:
+        missing = ", ".join(map(str, rooms["missing"]))
+        said = f"{rooms['took_part']} of {rooms['count']} took part in the last round"
+        yield "rooms", f"{said}, missing: {missing}" if missing else said
     for client in status.get("clients", ()):
         there = "connected" if client["connected"] else "not connected"
+        if "rooms" in client:
+            first, last = client["rooms"][0], client["rooms"][-1]
+            name = f"room {first}" if first == last else f"rooms {first} to {last}"
+            yield name, f"{there}, {client['flower_bytes'] / 1e6:.1f} MB in messages"
+            continue
         robots = ", ".join(map(str, client["robots"]))
         sent = client["bytes_sent"] + client["bytes_received"]
         yield f"robot {robots}", f"{there}, {sent / 1e6:.1f} MB on the link"

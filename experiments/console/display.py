@@ -210,8 +210,11 @@ def _measure(key: str, value: float | None) -> str:
 def show_summary(console: Console, summary: dict[str, Any], folder: RunFolder) -> None:
     """The end of a run: what the policy is worth and where everything is."""
     evaluation = summary["evaluation"]
+    rooms = summary.get("rooms")
+    robots = summary["robots"] if rooms is None else rooms["robots"]
+    where = "" if rooms is None else f" in {rooms['count']} rooms"
     title = (
-        f"{summary['robots']} robots, seed {summary['seed']}, {summary['episodes']} episodes,"
+        f"{robots} robots{where}, seed {summary['seed']}, {summary['episodes']} episodes,"
         f" {summary['ticks']} ticks at {summary['steps_per_s']:.0f} steps/s"
     )
     columns = {
@@ -219,6 +222,8 @@ def show_summary(console: Console, summary: dict[str, Any], folder: RunFolder) -
         "greedy": evaluation["greedy"],
         "last 5 in training": evaluation["last5"],
     }
+    if rooms is not None and "held_out" in rooms:
+        columns["held-out rooms, greedy"] = rooms["held_out"]
     console.print(evaluation_table(title, columns))
     for path in folder.results():
         console.print(f"  {path}", **PLAIN)

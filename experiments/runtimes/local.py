@@ -5,32 +5,31 @@ from __future__ import annotations
 from contextlib import closing
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from client_app.rooms import RoomKeeper
 from client_app.state import CheckpointedRobots
-from conf import Config
-from lockstep import Expect, LocalFleet
+from conf import Config, has_rooms
+from lockstep import InProcessFleet
+from training.building import BuildingRun
 from training.checkpoint import Checkpoint
 from training.controllers.central import CentralAgent
 from training.partition import step_layout
+from training.recording.costs import Costs
 from training.run_folder import RunFolder
 from training.session import TrainingRun
 
 
-class InProcessFleet(LocalFleet):
-    """A local fleet without rounds: no Flower reply carries the last weights, so it takes them."""
+class LocalRooms(RoomKeeper):
+    """All rooms of a building in this process; implements ``training.rooms.RoomHost``."""
 
-    _farewell = False
+    forgets = False
 
-    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
-        """See ``Fleet.send_step``."""
-        super().send_step(tick, window, expect, updates)
-        self._farewell = expect is Expect.END_ROUND
+    def costs(self) -> Costs:
+        """See ``RoomHost.costs``: nothing beside this process."""
+        return Costs()
 
-    def upload(self, window: int) -> NDArray[np.float32]:
-        """See ``Fleet.upload``."""
-        return self._uploaded() if self._farewell else super().upload(window)
+    def clients(self) -> list[dict[str, Any]]:
+        """See ``RoomHost.clients``."""
+        return []
 
 
 def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) -> dict[str, Any]:
@@ -45,11 +44,13 @@ def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) 
         What ``summary.json`` holds.
     """
     try:
+        state = None if config.state.every is None else folder.state
+        if has_rooms(config):
+            return BuildingRun(config, folder, resumed).train(LocalRooms(config, state))
         session = TrainingRun(config, folder, resumed)
         if isinstance(session.ap, CentralAgent):
             return session.train(session.ap.fleet)
         robots = tuple(range(config.env.robots))
-        state = None if config.state.every is None else folder.state
         with closing(CheckpointedRobots(config, robots, state)) as keeper:
             return session.train(InProcessFleet([(robots, keeper)], step_layout(config)))
     except BaseException as error:

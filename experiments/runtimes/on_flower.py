@@ -22,14 +22,16 @@ from experiments.flower import (
 from lockstep import LinkTimeout, RobotLost
 from storage.checkpoint_files import CheckpointError
 from training.checkpoint import Checkpoint, latest
+from training.resume import kept_robots
+from training.rooms import RoomsLostError
 from training.run_folder import RunFolder
 
 POLL_S = 1.0
 MOST_IN_VAIN = 3
 """Starts in a row without a new checkpoint before a run is given up."""
 
-LOSSES = tuple(f"{kind.__name__}: " for kind in (RobotLost, LinkTimeout))
-"""How the message of a run begins that has lost a robot."""
+LOSSES = tuple(f"{kind.__name__}: " for kind in (RobotLost, LinkTimeout, RoomsLostError))
+"""How the message of a run begins that has lost a robot or a room."""
 
 
 class Runner(Protocol):
@@ -96,7 +98,7 @@ def _run_with_restarts(config: Config, folder: RunFolder, resumed: Checkpoint | 
         FlowerError: the run failed, or they die again and again.
     """
     reached, in_vain = -1 if resumed is None else resumed.window, 0
-    revives = config.federation.on_loss == "wait" and config.runtime.connection is None
+    revives = config.federation.on_loss != "abort" and config.runtime.connection is None
     restarts: list[str] = []
     while True:
         try:
@@ -123,7 +125,7 @@ def _run_with_restarts(config: Config, folder: RunFolder, resumed: Checkpoint | 
 def _last(config: Config, folder: RunFolder) -> Checkpoint | None:
     """Where a run goes on that was cut off; None if it must begin again."""
     try:
-        return latest(folder.state, config.env.robots, config.run.id)
+        return latest(folder.state, kept_robots(config), config.run.id)
     except CheckpointError:
         folder.metrics_file.unlink(missing_ok=True)  # or it would not be taken for a new run
         return None
@@ -171,7 +173,7 @@ def _runner(config: Config, folder: RunFolder) -> Runner:
     return Federation(
         nodes=clients,
         secure=config.runtime.secure,
-        revive=config.federation.on_loss == "wait",
+        revive=config.federation.on_loss != "abort",
         log_path=folder.log_file,
         start_timeout_s=patience_s,
     )

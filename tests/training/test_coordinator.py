@@ -21,8 +21,7 @@ from env.mdp.actions import ActionSpace
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import StepResult, World
-from experiments.runtimes.local import InProcessFleet
-from lockstep import Expect, LinkServer, ServerLost, serve
+from lockstep import Expect, InProcessFleet, LinkServer, ServerLost, serve
 from lockstep.messages import Flag
 from training.aggregation.strategies import build_aggregator
 from training.controllers.access_point import AccessPoint

@@ -53,25 +53,33 @@ class Aggregator:
     the state of a global random generator or lets Flower log anything below an error.
     """
 
-    def __init__(self, strategy: FedAvg, robots: int, *, scope: Scope = Scope.PAIR) -> None:
+    def __init__(
+        self,
+        strategy: FedAvg,
+        robots: int,
+        *,
+        scope: Scope = Scope.PAIR,
+        who: str = "robot",
+        partial: bool = False,
+    ) -> None:
         """Takes a strategy over.
 
         Args:
-            strategy: a fresh strategy. It is the aggregator's from here on, and all robots take
+            strategy: a fresh strategy. It is the aggregator's from here on, and all who upload take
                 part in each window: its sampling settings are overwritten.
             robots: K, at least 1.
             scope: what the strategy is applied to.
+            who: what uploads, for messages.
+            partial: whether fewer than ``robots`` may upload.
         """
         if robots < 1:
-            raise ValueError(f"{robots} robots: at least 1 is needed")
+            raise ValueError(f"{robots} {who}s: at least 1 is needed")
         self._strategy = strategy
-        self._robots = robots
+        self._robots, self._who, self._partial = robots, who, partial
         self._parts: list[tuple[FedAvg, slice]] = [(strategy, slice(None))]
         if scope is Scope.ONLINE:
             self._parts = [(strategy, ONLINE), (FedAvg(), TARGET)]
-        for part, _ in self._parts:
-            part.fraction_train = 1.0
-            part.min_train_nodes = part.min_available_nodes = robots
+        self._expect(robots)
         with within_flower():
             messages = configure(strategy, 1, ArrayRecord(), robots)
         self.restore({})
@@ -88,7 +96,8 @@ class Aggregator:
         Args:
             window: the window's number, from 1 over the whole run (FedAdam reads it).
             current: what all robots started the window from, shape (2, P): online, target.
-            uploads: what the robots have now, shape (K, 2, P), row k for robot k.
+            uploads: what the robots have now, shape (K, 2, P), row k for robot k; with ``partial``
+                those of fewer.
 
         Returns:
             The weights that every robot takes, float32, shape (2, P), owned by the caller.
@@ -99,6 +108,7 @@ class Aggregator:
             ArithmeticError: the strategy's result is not finite in float32.
         """
         self._check(window, current, uploads)
+        self._expect(len(uploads))
         with within_flower():
             results = [
                 one_round(part, window, current[rows], uploads[:, rows])
@@ -132,10 +142,17 @@ class Aggregator:
         for attribute in attributes:
             setattr(self._strategy, attribute, _unpack(attribute, state))
 
+    def _expect(self, count: int) -> None:
+        """Lets the strategy wait for so many, all of whom take part."""
+        for part, _ in self._parts:
+            part.fraction_train = 1.0
+            part.min_train_nodes = part.min_available_nodes = count
+
     def _check(self, window: int, current: WeightRows, uploads: WeightRows) -> None:
         if window < 1:
             raise ValueError(f"window {window}: windows are numbered from 1")
-        expected = (self._robots, *current.shape)
+        fewer = self._partial and 1 <= len(uploads) <= self._robots
+        expected = (len(uploads) if fewer else self._robots, *current.shape)
         if current.ndim != 2 or current.shape[0] != 2 or uploads.shape != expected:
             raise ValueError(
                 f"weights of shape {current.shape} and uploads of shape {uploads.shape}:"
@@ -143,10 +160,10 @@ class Aggregator:
             )
         largest = [magnitude(upload) for upload in uploads]
         if absurd := [k for k, value in enumerate(largest) if not value <= WEIGHT_LIMIT]:
-            named = ", ".join(f"robot {robot} ({largest[robot]:.3g})" for robot in absurd)
+            named = ", ".join(f"{self._who} {each} ({largest[each]:.3g})" for each in absurd)
             raise ValueError(
-                f"window {window}: absurd weights from {named}, of robots 0 to {self._robots - 1}:"
-                f" finite ones of at most {WEIGHT_LIMIT:g} are taken"
+                f"window {window}: absurd weights from {named}, of {self._who}s 0 to"
+                f" {len(uploads) - 1}: finite ones of at most {WEIGHT_LIMIT:g} are taken"
             )
 
 

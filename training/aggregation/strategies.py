@@ -14,12 +14,16 @@ from conf import StrategyConfig
 from training.aggregation.aggregator import Aggregator, Scope
 
 
-def build_aggregator(config: StrategyConfig, robots: int) -> Aggregator | None:
+def build_aggregator(
+    config: StrategyConfig, robots: int, *, who: str = "robot", partial: bool = False
+) -> Aggregator | None:
     """Makes the aggregator of a run.
 
     Args:
         config: the group ``strategy``, checked.
         robots: K.
+        who: what uploads, for messages.
+        partial: whether fewer may upload.
 
     Returns:
         A fresh aggregator, or None for ``none``, where each robot keeps its own weights.
@@ -28,7 +32,7 @@ def build_aggregator(config: StrategyConfig, robots: int) -> Aggregator | None:
     if build is None:
         return None
     scope = Scope.ONLINE if config.name in SERVER_OPTIMISERS else Scope.PAIR
-    return Aggregator(build(config), robots, scope=scope)
+    return Aggregator(build(config), robots, scope=scope, who=who, partial=partial)
 
 
 def _fedavg(config: StrategyConfig) -> FedAvg:

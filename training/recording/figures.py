@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -112,3 +112,37 @@ def learning_curve(
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def save_rooms_figure(path: Path, rows: Sequence[Mapping[str, float]]) -> None:
+    """Draws how many robots arrive in each room over training, and their energy efficiency.
+
+    Args:
+        path: of the picture.
+        rows: of ``rooms.csv``: two for each room and evaluation; the greedy ones are drawn.
+    """
+    figure = Figure(figsize=(7, 5.6), layout="constrained")
+    panels = figure.subplots(2, 1, sharex=True)
+    kinds = ((0, "#2e86de", "trained in"), (1, "#e4572e", "held out"))
+    for axes, measure in zip(panels, ("success", "ee"), strict=True):
+        for held_out, colour, label in kinds:
+            own = [row for row in rows if row["held_out"] == held_out and row["epsilon"] == 0]
+            by_room: dict[float, dict[float, float]] = {}
+            by_tick: dict[float, list[float]] = {}
+            for row in own:
+                by_room.setdefault(row["room"], {})[row["tick"]] = row[measure]
+                by_tick.setdefault(row["tick"], []).append(row[measure])
+            for each in by_room.values():
+                axes.plot(list(each), list(each.values()), color=colour, alpha=0.2, linewidth=0.8)
+            means = [float(np.mean(values)) for values in by_tick.values()]
+            if means:
+                axes.plot(list(by_tick), means, "o-", color=colour, markersize=4, label=label)
+        axes.grid(alpha=0.25)
+        axes.spines[["top", "right"]].set_visible(False)
+    top, bottom = panels
+    top.set(ylabel="robots that arrive", ylim=(-0.02, 1.05), title="Rooms, greedy: means and each")
+    bottom.set(xlabel="ticks of a room", ylabel="EE (bit/s/Hz/J)")
+    if top.get_legend_handles_labels()[0]:
+        top.legend(loc="lower right", frameon=False)
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=DPI)

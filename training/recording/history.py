@@ -7,7 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from agent import epsilon_at
+from conf import Config
+from env.episode import EpisodeMeasures
 from training.evaluation import Evaluator
+from training.recording.progress import Progress
 
 MEASURES = (
     "success",
@@ -51,6 +55,16 @@ class History:
             if min(row["success"] for row in (first, second, third)) >= CONVERGED:
                 return {key: first[key] for key in ("episode", "tick", "cpu_s")}
         return None
+
+
+def episode_row(config: Config, progress: Progress, measures: EpisodeMeasures) -> dict[str, float]:
+    """A row of ``METRICS``: an episode that has just ended."""
+    return {
+        "episode": progress.episodes,
+        "tick": progress.tick,
+        **measures.summary(),
+        "epsilon": epsilon_at(config.agent.epsilon, progress.tick),
+    }
 
 
 def mean(values: list[float]) -> float:

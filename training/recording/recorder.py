@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import epsilon_at
 from conf import Config
 from env.episode import EpisodeMeasures
 from training.evaluation import Evaluator
 from training.recording.csv_log import CsvLog
-from training.recording.history import EVALUATIONS, METRICS, History, evaluate, mean
+from training.recording.history import EVALUATIONS, METRICS, History, episode_row, evaluate, mean
 from training.recording.progress import Progress
 from training.run_folder import RunFolder
 
@@ -33,7 +32,7 @@ class Recorder:
     Args:
         config: the run's configuration.
         folder: the run's folder, made here.
-        evaluator: plays frozen weights.
+        evaluator: plays frozen weights; None where ``on_window`` is never called.
         cpu_s: processor time that the run has used so far.
         resumed: what ``marks`` gave where the run goes on from a checkpoint.
 
@@ -44,11 +43,14 @@ class Recorder:
         round: the number of the Flower round, if there are rounds.
     """
 
+    columns: tuple[str, ...] = METRICS
+    """Of ``metrics.csv``."""
+
     def __init__(
         self,
         config: Config,
         folder: RunFolder,
-        evaluator: Evaluator,
+        evaluator: Evaluator | None,
         cpu_s: Callable[[], float],
         resumed: Mapping[str, Any] | None = None,
     ) -> None:
@@ -67,7 +69,7 @@ class Recorder:
         folder.write_config(config)
         marks = resumed or {"episodes": 0, "evaluations": 0, "training_s": 0.0, "evaluation_s": 0.0}
         self.evaluation_s, self._trained_s = marks["evaluation_s"], marks["training_s"]
-        self._metrics = CsvLog(folder.metrics_file, METRICS, marks["episodes"])
+        self._metrics = CsvLog(folder.metrics_file, self.columns, marks["episodes"])
         self._evaluations = CsvLog(folder.evaluations_file, EVALUATIONS, 2 * marks["evaluations"])
         rows = self._evaluations.kept
         self.history = History(self._metrics.kept, rows[::2], rows[1::2])
@@ -93,12 +95,7 @@ class Recorder:
 
     def on_episode(self, progress: Progress, measures: EpisodeMeasures) -> None:
         """Writes a row of ``metrics.csv``."""
-        row = {
-            "episode": progress.episodes,
-            "tick": progress.tick,
-            **measures.summary(),
-            "epsilon": epsilon_at(self._config.agent.epsilon, progress.tick),
-        }
+        row = episode_row(self._config, progress, measures)
         self.history.episodes.append(row)
         self._metrics.write(row)
         self._log_events("train", row, progress.tick)
@@ -118,7 +115,14 @@ class Recorder:
     def _evaluate(
         self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
     ) -> None:
-        explored, greedy = evaluate(self._evaluator, robots, ap, self._config.evaluation.epsilon)
+        assert self._evaluator is not None
+        scores = evaluate(self._evaluator, robots, ap, self._config.evaluation.epsilon)
+        self._write_evaluation(progress, *scores)
+
+    def _write_evaluation(
+        self, progress: Progress, explored: dict[str, float], greedy: dict[str, float]
+    ) -> None:
+        """Two rows of ``evaluations.csv``."""
         at = {"episode": progress.episodes, "tick": progress.tick, "cpu_s": self._cpu_s()}
         for rows, name, values in (
             (self.history.evaluations, "evaluation", explored),
@@ -142,11 +146,21 @@ class Recorder:
     def report(self, state: str, progress: Progress, message: str = "") -> None:
         """Writes ``progress.json`` for whoever watches from outside, as far as that can be done."""
         self._written = time.perf_counter()
+        said = {"state": state, "message": message, "written_at": time.time()}
+        status = {**said, **self.status(progress)}
+        try:
+            self.folder.write_progress(status)
+            self._is_shown = True
+        except OSError as error:
+            if self._is_shown:
+                name, why = self.folder.progress_file.name, error.strerror or error
+                log.warning("%s is not written: %s", name, why)
+            self._is_shown = False
+
+    def status(self, progress: Progress) -> dict[str, Any]:
+        """What ``progress.json`` says of where a run is."""
         recent = self.history.episodes[-10:]
-        status: dict[str, Any] = {
-            "state": state,
-            "message": message,
-            "written_at": time.time(),
+        return {
             "tick": progress.tick,
             "window": progress.window,
             "episode": progress.episodes,
@@ -165,14 +179,6 @@ class Recorder:
             "round": self.round,
             "clients": self.clients(),
         }
-        try:
-            self.folder.write_progress(status)
-            self._is_shown = True
-        except OSError as error:
-            if self._is_shown:
-                name, why = self.folder.progress_file.name, error.strerror or error
-                log.warning("%s is not written: %s", name, why)
-            self._is_shown = False
 
     def close(self) -> None:
         """Flushes and closes what is open; safe to call again."""

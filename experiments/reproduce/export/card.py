@@ -10,7 +10,7 @@ import numpy as np
 
 from conf import ap_network, robot_network
 from experiments.reproduce.results.runs import Run
-from training.session import LAST_EVALUATIONS
+from training.recording.summary import LAST_EVALUATIONS
 
 WIDTH = 100
 """Of a line of the card."""

@@ -1,0 +1,176 @@
+"""Rooms of a building, as their host has them: world, access point and robots in one process.
+
+A room is Algorithm 1 as the local runtime plays it, in parts: each round it takes the network that
+all rooms share, plays some windows and hands its own on.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from client_app.robots import RobotGroup
+from conf import Config
+from conf.rooms import room_name
+from env.episode import EpisodeMeasures
+from env.scenario import Scenario
+from env.seeding import Stream, stream
+from env.world import World
+from lockstep import InProcessFleet
+from storage.checkpoint_files import checkpoints, load_checkpoint, save_checkpoint
+from storage.checkpoint_layout import room_folder, room_owner
+from training.aggregation.strategies import build_aggregator
+from training.checkpoint import flat, part
+from training.controllers.access_point import NetworkAgent
+from training.controllers.schemes import build_ris_controller
+from training.coordinator import Coordinator
+from training.partition import step_layout
+from training.recording.history import METRICS, episode_row
+from training.recording.progress import Progress
+from training.rooms import RoomReport, RoomTask, RoundTask, Weights
+
+log = logging.getLogger(__name__)
+
+
+class RoomRobots(RobotGroup):
+    """The robots of a room; between rounds they stay as they are and take a network."""
+
+    def windows(self) -> list[int]:
+        """See ``lockstep.Robots.windows``: the room keeps checkpoints, not they."""
+        return []
+
+    def begin(self, window: int, model: Weights | None) -> None:
+        """See ``lockstep.Robots.begin``."""
+        if model is not None:
+            self.download(window, model)
+
+
+class HostedRoom:
+    """One room, which implements ``training.recording.progress.Observer``.
+
+    Args:
+        config: of the room, as ``conf.rooms.Room.config`` makes it.
+    """
+
+    def __init__(self, config: Config) -> None:
+        robots = tuple(range(config.env.robots))
+        scenario = Scenario.drawn(config.env, config.seed)
+        world = World(scenario, stream(config.seed, Stream.WORLD), config.train.worlds)
+        self._config = config
+        self._ap = build_ris_controller(config, world)
+        self._group = RoomRobots(config, robots)
+        self._fleet = InProcessFleet([(robots, self._group)], step_layout(config))
+        aggregator = build_aggregator(config.strategy, len(robots))
+        self._coordinator = Coordinator(
+            config, world, self._ap, self._fleet, aggregator, self, stop=self._is_due
+        )
+        self._until = 0
+        self._rows: list[list[float]] = []
+        self._coordinator.begin(np.zeros((2, self._group.parameters), np.float32))
+
+    def play(self, windows: int, model: Weights, ap: Weights | None = None) -> RoomReport:
+        """Plays some windows from a network on.
+
+        Args:
+            windows: how many.
+            model: what all robots take, online and target, shape (2, P).
+            ap: what the access point takes, shape (2, P_AP); None leaves it as it is.
+        """
+        progress, self._rows = self._coordinator.progress, []
+        self._until = progress.window + windows
+        if ap is not None and isinstance(self._ap, NetworkAgent):
+            self._ap.agent.load(ap)
+        self._fleet.begin(progress.window, model)
+        robots = self._coordinator.play(model)
+        episodes = np.array(self._rows, dtype=np.float64).reshape(-1, len(METRICS))
+        return RoomReport(robots[0], self._ap.weights(), progress.tick, episodes)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that the room needs to go on from the end of a round."""
+        agents = self._group.agents
+        robots = {f"robot-{k}": agents.agent_state(k) for k in self._group.robots}
+        return {**self._coordinator.state(), **flat(robots)}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Takes back what ``state`` gave."""
+        self._coordinator.begin(np.zeros((2, self._group.parameters), np.float32), state)
+        for robot in self._group.robots:
+            self._group.agents.restore_agent(robot, part(state, f"robot-{robot}"))
+
+    def on_start(self) -> None:
+        """See ``Observer.on_start``."""
+
+    def on_episode(self, progress: Progress, measures: EpisodeMeasures) -> None:
+        """See ``Observer.on_episode``."""
+        row = episode_row(self._config, progress, measures)
+        self._rows.append([row[name] for name in METRICS])
+
+    def on_window(self, progress: Progress, robots: Weights, ap: Weights) -> None:
+        """See ``Observer.on_window``."""
+
+    def _is_due(self) -> bool:
+        return self._coordinator.progress.window >= self._until
+
+
+@dataclass
+class RoomKeeper:
+    """The rooms that one process hosts, with their checkpoints.
+
+    Attributes:
+        config: of the building.
+        state: the folder of checkpoints on this machine; None keeps none.
+        rooms: those that this process has at hand, and the round that each has last played.
+    """
+
+    config: Config
+    state: Path | None
+    rooms: dict[str, tuple[HostedRoom, int]] = field(default_factory=dict)
+
+    def play(self, task: RoundTask) -> dict[int, RoomReport]:
+        """Plays a round in each room that takes part, one after the other.
+
+        Rooms do not meet within a round, so no order of theirs changes a bit.
+
+        Raises:
+            CheckpointError: the checkpoint that a room goes on from is missing or damaged.
+            OSError: a checkpoint could not be written.
+        """
+        reports = {}
+        for asked in task.rooms:
+            room = self._at_hand(asked)
+            reports[asked.room.index] = room.play(self.config.rooms.every, task.model, asked.ap)
+            name = asked.room.name
+            self.rooms[name] = (room, task.number)
+            if task.keep and self.state is not None:
+                owner = room_owner(self.config.run.id, name)
+                save_checkpoint(room_folder(self.state, name), task.number, room.state(), owner)
+        return reports
+
+    def _at_hand(self, asked: RoomTask) -> HostedRoom:
+        """The room as it was after the round that it goes on from."""
+        name = asked.room.name
+        room, played = self.rooms.get(name, (None, 0))
+        if room is not None and played == asked.since:
+            return room
+        room = HostedRoom(asked.room.config(self.config))
+        if asked.since:
+            folder = room_folder(self.state or Path(), name)
+            owner = room_owner(self.config.run.id, name)
+            room.restore(load_checkpoint(folder, asked.since, owner)[0])
+        return room
+
+
+def held_rooms(state: Path, rooms: int) -> list[int]:
+    """The rooms, of the first so many, of which there is any checkpoint.
+
+    Args:
+        state: the folder of checkpoints on this machine.
+        rooms: R.
+    """
+    return [index for index in range(rooms) if checkpoints(room_folder(state, room_name(index)))]

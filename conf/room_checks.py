@@ -1,0 +1,51 @@
+"""What is allowed in the group ``rooms``, of a configuration as a whole; see ``conf.rooms``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+
+from conf import strategy_checks
+from conf.schema import Config, RoomsConfig, has_rooms
+from env.config import MAX_ROBOTS
+from env.validate import Problem
+
+
+def rules(config: Config) -> Iterator[Problem]:
+    """What is wrong with a building: keys, their values, and what is allowed.
+
+    Args:
+        config: free of other problems.
+    """
+    rooms, on_loss = config.rooms, config.federation.on_loss
+    if on_loss == "miss" and not (has_rooms(config) and config.runtime.name == "deployment"):
+        say = "wait or abort here: rooms of a building in a deployment alone can miss a round"
+        yield "federation.on_loss", on_loss, say
+    if not has_rooms(config):
+        for item in fields(rooms):
+            default = getattr(RoomsConfig(), item.name)
+            if getattr(rooms, item.name) != default:
+                say = "not set with rooms.count=1: only buildings read it"
+                yield f"rooms.{item.name}", getattr(rooms, item.name), say
+        return
+    if config.scheme.agents != "federated" or config.scheme.robots != "learned":
+        say = (
+            f"1 with scheme.agents={config.scheme.agents} and scheme.robots={config.scheme.robots}"
+        )
+        yield "rooms.count", rooms.count, f"{say}: rooms share what robots learn"
+    if config.strategy.name == "none":
+        say = "any other with rooms.count above 1: a room hands on one network"
+        yield "strategy.name", config.strategy.name, say
+    if config.federation.windows_per_round is not None:
+        say = "null in a building: its rounds are of rooms.every windows"
+        yield "federation.windows_per_round", config.federation.windows_per_round, say
+    if any(not 1 <= robots <= MAX_ROBOTS for robots in rooms.robots):
+        yield "rooms.robots", rooms.robots, f"a list of numbers from 1 to {MAX_ROBOTS}"
+    if any(not isinstance(plan, str) for plan in rooms.plans):
+        yield "rooms.plans", rooms.plans, "a list of names and paths of floor plans"
+    for key, value, say in strategy_checks.problems(rooms.strategy, rooms.count, "rooms.count"):
+        if key == "strategy.name" and value == "none":
+            continue
+        yield f"rooms.{key}", value, say
+    if rooms.strategy.name == "none":
+        yield "rooms.strategy.name", "none", "any other: rooms that share nothing are runs"

@@ -1,0 +1,98 @@
+"""A building's frozen weights in its rooms: trained in, held out, and after a short adaptation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from client_app.rooms import HostedRoom
+from conf import Config, ConfigError
+from training.building import known_rooms
+from training.evaluation import Evaluator
+from training.recording.history import MEASURES, mean
+from training.rooms import Weights
+from training.run_folder import RunFolder
+
+Measures = dict[str, float]
+
+
+def columns(
+    folder: RunFolder,
+    config: Config,
+    episodes: int | None,
+    epsilons: Sequence[float],
+    starts_seed: int | None = None,
+    personalise: int = 0,
+) -> dict[str, Measures]:
+    """Plays a building's final weights in all its rooms.
+
+    Args:
+        folder: of the building's run.
+        config: of the building.
+        episodes: held-out episodes in each room; ``config.evaluation.episodes`` if None.
+        epsilons: explorations to play with.
+        starts_seed: picks the held-out starts and the exploration; each room's seed if None.
+        personalise: ticks for which each room goes on to learn by itself from the weights that it
+            is given, to be evaluated once more; 0 is none.
+
+    Returns:
+        From a column's name to its measures: means over rooms, each counted alike.
+
+    Raises:
+        ConfigError: the run has not ended, or its files are damaged.
+    """
+    rooms = known_rooms(config, folder)
+    found: dict[str, list[Measures]] = {}
+    for room in rooms:
+        place = folder.room(room.name)
+        own = place.read_config()
+        kind = "held out" if room.held_out else "trained in"
+        robots, ap = place.read_networks(own)
+        played = [(kind, robots[0, 0], ap[0])]
+        if personalise:
+            learned = adapted(own, robots[0], ap, personalise)
+            played.append((f"{kind}, personalised", *learned))
+        evaluator = Evaluator(own, episodes=episodes, starts_seed=starts_seed)
+        for name, model, own_ap in played:
+            for epsilon, measures in _each(evaluator, model, own_ap, epsilons):
+                title = f"{name}, eps = {epsilon:g}" if len(epsilons) > 1 else name
+                found.setdefault(title, []).append(measures)
+    return {
+        name: {key: mean([row[key] for row in rows]) for key in (*MEASURES, "reward", "slots")}
+        for name, rows in found.items()
+    }
+
+
+def adapted(config: Config, robots: Weights, ap: Weights, ticks: int) -> tuple[Weights, Weights]:
+    """What a room's own robots and access point learn on from the weights that they are given.
+
+    They explore as at the end of training, with fresh replays.
+
+    Args:
+        config: of the room.
+        robots: online and target, shape (2, P).
+        ap: the same of the access point, shape (2, P_AP).
+        ticks: at least so many; whole windows are played.
+
+    Returns:
+        Online networks, shapes (P,) and (P_AP,).
+    """
+    agent = config.agent
+    epsilon = replace(agent.epsilon, start=agent.epsilon.end)
+    rate = agent.learning_rate if agent.learning_rate_end is None else agent.learning_rate_end
+    calm = replace(agent, epsilon=epsilon, learning_rate=rate, learning_rate_end=None)
+    report = HostedRoom(replace(config, agent=calm)).play(
+        -(-ticks // config.federation.every), robots, ap
+    )
+    return report.model[0], report.ap[0]
+
+
+def _each(
+    evaluator: Evaluator, robots: Weights, ap: Weights, epsilons: Sequence[float]
+) -> Iterator[tuple[float, Measures]]:
+    try:
+        played = evaluator.play(robots[None], ap, epsilons)
+    except ValueError as error:
+        raise ConfigError(f"{error}.") from error
+    for epsilon, measures in zip(epsilons, played, strict=True):
+        yield epsilon, measures.summary()

@@ -1,0 +1,320 @@
+"""A building from the server's side, whatever the runtime: rooms play, and share what they learn.
+
+Hierarchical federated averaging (Liu et al., 2020, "Client-edge-cloud hierarchical federated
+learning"): inside a room robots' networks are averaged every N_F ticks, as Algorithm 1 says, and
+across rooms every ``rooms.every`` such windows, which is a round.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import NetworkShape, single_threaded
+from conf import Config, ConfigError, ap_network, fingerprint, robot_network
+from conf.rooms import Room, from_json, rooms_of, to_json
+from env.seeding import Stream, stream
+from env.texts import read_text
+from storage.atomic import write_atomically
+from storage.checkpoint_files import Writer, digest
+from storage.checkpoint_layout import owner
+from training.checkpoint import Checkpoint, flat, part, save_server
+from training.recording.building import BuildingRecorder
+from training.recording.costs import Costs
+from training.recording.progress import Progress
+from training.recording.summary import summarise
+from training.room_evaluation import RoomScore, RoomsEvaluator, overall, score
+from training.rooms import RoomHost, RoomReport, RoomTask, RoundTask, Weights
+from training.run_folder import RunFolder
+
+FINAL_EPSILON = 0.05
+
+
+class BuildingRun:
+    """One training run of a building.
+
+    Args:
+        config: the run's configuration.
+        folder: the run's folder.
+        resumed: where the run goes on, if it does not begin.
+    """
+
+    def __init__(
+        self, config: Config, folder: RunFolder, resumed: Checkpoint | None = None
+    ) -> None:
+        from training.aggregation.strategies import build_aggregator  # Flower: once a run trains
+
+        single_threaded()
+        self._config, self._folder = config, folder
+        spent = {"wall_s": 0.0, "cpu_s": 0.0} if resumed is None else resumed.meta["spent"]
+        self._began = time.perf_counter() - spent["wall_s"]
+        self._cpu_before = time.process_time() - spent["cpu_s"]
+        self._costs_before = Costs() if resumed is None else Costs(**resumed.meta["costs"])
+        self._host: RoomHost | None = None
+        folder.path.mkdir(parents=True, exist_ok=True)
+        rooms = known_rooms(config, folder)
+        self.rooms = [room for room in rooms if not room.held_out]
+        self._held_out = [room for room in rooms if room.held_out]
+        self._evaluator = RoomsEvaluator(config, rooms)
+        marks = None if resumed is None else resumed.meta["marks"]
+        self.recorder = BuildingRecorder(config, folder, self._evaluator, self._cpu_s, marks)
+        self._writer = Writer()
+        count = len(self.rooms)
+        self.progress = Progress()
+        self._model = _first(robot_network(rooms[0].config(config)), config.seed, 0)
+        self._aps: dict[int, Weights] = {}
+        self._played = np.zeros(count, np.int64)
+        self._ticks = np.zeros(count, np.int64)
+        self._episodes = np.zeros(count, np.int64)
+
+        def across() -> Any:
+            return build_aggregator(config.rooms.strategy, count, who="room", partial=True)
+
+        self._strategies = {"robots": across(), "ap": across()}
+        self._shares_ap = config.rooms.access_points == "mean" and config.scheme.phase == "learned"
+        if resumed is not None:
+            self._restore(resumed.arrays)
+
+    def train(self, host: RoomHost) -> dict[str, Any]:
+        """Trains until the end of the round after the last tick, or as many episodes a room.
+
+        Args:
+            host: where the rooms live.
+
+        Returns:
+            What ``summary.json`` holds.
+        """
+        self._host = host
+        recorder = self.recorder
+        recorder.clients = host.clients
+        recorder.on_start()
+        try:
+            stopped = False
+            while not (stopped or self._is_over()):
+                stopped = self._play_round(host)
+            self._writer.wait()
+            trained_s = recorder.end_training()
+            recorder.report("finishing", self.progress)
+            summary = self._finish(trained_s, stopped=stopped)
+            recorder.report("done", self.progress)
+        finally:
+            recorder.close()
+            self._writer.close()
+        return summary
+
+    def _play_round(self, host: RoomHost) -> bool:
+        """Plays a round; returns whether the run was asked to stop."""
+        config, number = self._config, self.progress.window // self._config.rooms.every + 1
+        self.recorder.round = number
+        asked = self._drawn(number)
+        keep = host.forgets or self._is_due(number)
+        tasks = [RoomTask(room, int(self._played[room.index]), self._given(room)) for room in asked]
+        reports = host.play(RoundTask(number, self._model, keep, tasks))
+        came = sorted(reports)
+        missing = [room.index for room in asked if room.index not in reports]
+        self.progress.tick += config.rooms.every * config.federation.every
+        self.progress.window += config.rooms.every
+        for index in came:
+            self._take(index, reports[index], number)
+        self.progress.episodes = int(self._episodes.sum()) // len(self.rooms)
+        self.recorder.on_reports(self.progress, reports, missing)
+        if came:
+            self._share(number, [reports[index] for index in came])
+        self.recorder.on_round(self.progress, self._model[0], self.ap_of)
+        stopped = self._folder.stop_file.exists()
+        if config.state.every is not None and (keep or stopped or self._is_over()):
+            self._checkpoint()
+        return stopped
+
+    def _drawn(self, number: int) -> Sequence[Room]:
+        """The rooms that take part in a round, in order."""
+        count = max(1, round(self._config.rooms.fraction * len(self.rooms)))
+        if count == len(self.rooms):
+            return self.rooms
+        generator = stream(self._config.seed, Stream.PARTICIPATION, number)
+        drawn = generator.choice(len(self.rooms), count, replace=False)
+        return [self.rooms[index] for index in sorted(drawn)]
+
+    def _given(self, room: Room) -> Weights | None:
+        """The network that a room's access point takes at the beginning of a round."""
+        if self._shares_ap and 0 in self._aps:
+            return self._aps[0]
+        return self._first_ap(room) if not self._played[room.index] else None
+
+    def _first_ap(self, room: Room) -> Weights:
+        """What access points start from: the same, where their networks have one size."""
+        if self._config.scheme.phase != "learned":
+            return np.zeros((2, 0), np.float32)
+        return _first(ap_network(room.config(self._config)), self._config.seed, 1)
+
+    def _take(self, index: int, report: RoomReport, number: int) -> None:
+        """Notes how far a room has come, and its access point's network if that is its own."""
+        self._played[index], self._ticks[index] = number, report.ticks
+        self._episodes[index] += len(report.episodes)
+        if not self._shares_ap:
+            self._aps[index] = report.ap
+
+    def _share(self, number: int, reports: Sequence[RoomReport]) -> None:
+        """Averages across the rooms that have come, in the order of their indices."""
+        uploads = np.stack([report.model for report in reports])
+        self._model = self._strategies["robots"].aggregate(number, self._model, uploads)
+        if self._shares_ap:
+            aps = np.stack([report.ap for report in reports])
+            before = self._aps.get(0, self._first_ap(self.rooms[0]))
+            self._aps[0] = self._strategies["ap"].aggregate(number, before, aps)
+
+    def ap_of(self, room: Room) -> Weights:
+        """The online network of a room's access point, shape (P_AP,).
+
+        With networks of their own, access points of rooms that have not played yet, and of those
+        that are held out, have the one that all start from.
+        """
+        own = None
+        if self._shares_ap:
+            own = self._aps.get(0)
+        elif not room.held_out:
+            own = self._aps.get(room.index)
+        online: Weights = (self._first_ap(room) if own is None else own)[0]
+        return online
+
+    # --- Where it ends, and what it keeps ---------------------------------------------------------
+
+    def _is_over(self) -> bool:
+        train = self._config.train
+        late = train.max_ticks is not None and self.progress.tick >= train.max_ticks
+        return late or self.progress.episodes >= train.episodes
+
+    def _is_due(self, number: int) -> bool:
+        """Whether a checkpoint is due in a round: its windows pass a multiple of ``every``."""
+        every, windows = self._config.state.every, self._config.rooms.every
+        return every is not None and number * windows // every > (number - 1) * windows // every
+
+    def _cpu_s(self) -> float:
+        return time.process_time() - self._cpu_before + self._costs().client_cpu_s
+
+    def _costs(self) -> Costs:
+        return self._costs_before.plus(Costs() if self._host is None else self._host.costs())
+
+    def _checkpoint(self) -> None:
+        """Writes the server's checkpoint of a round that rooms have kept, too."""
+        counters = [self.progress.tick, self.progress.window, self.progress.episodes]
+        run = {
+            "progress": np.array(counters),
+            "model": self._model,
+            "played": self._played,
+            "ticks": self._ticks,
+            "episodes": self._episodes,
+        }
+        aps = {str(index): ap for index, ap in self._aps.items()}
+        strategies = {f"strategy-{name}": s.state() for name, s in self._strategies.items()}
+        meta = {
+            **owner(self._config.run.id),
+            "spent": {
+                "wall_s": time.perf_counter() - self._began,
+                "cpu_s": time.process_time() - self._cpu_before,
+            },
+            "costs": asdict(self._costs()),
+            "marks": self.recorder.marks(),
+            "fingerprint": fingerprint(self._config.env),
+            "losses": [],
+        }
+        arrays = flat({"run": run, "aps": aps, **strategies})
+        copies = {name: np.array(array) for name, array in arrays.items()}
+        save_server(self._writer, self._folder.state, self.progress.window, copies, meta)
+        self._writer.wait()  # or rooms could be ahead of it by more than one
+        self.recorder.checkpoint = self.progress.window
+
+    def _restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        run = part(arrays, "run")
+        self.progress = Progress(*(int(count) for count in run["progress"]))
+        self._model = run["model"]
+        self._played, self._ticks, self._episodes = (
+            run[name].copy() for name in ("played", "ticks", "episodes")
+        )
+        self._aps = {int(index): ap for index, ap in part(arrays, "aps").items()}
+        for name, strategy in self._strategies.items():
+            strategy.restore(part(arrays, f"strategy-{name}"))
+
+    def _finish(self, trained_s: float, *, stopped: bool) -> dict[str, Any]:
+        """Evaluates the final weights in every room, and writes weights, summary and figures."""
+        config, folder = self._config, self._folder
+        scores: list[RoomScore] = []
+        for room in (*self.rooms, *self._held_out):
+            ap = self.ap_of(room)
+            scores.append(score(config, room, self._model[0], ap, FINAL_EPSILON))
+            own, place = room.config(config), folder.room(room.name)
+            place.path.mkdir(parents=True, exist_ok=True)
+            place.write_config(own)
+            robots = np.broadcast_to(self._model, (own.env.robots, *self._model.shape))
+            both = self._aps.get(0 if self._shares_ap else room.index)
+            if both is None or (room.held_out and not self._shares_ap):
+                both = self._first_ap(room)
+            place.write_weights(np.array(robots), both)
+        self.recorder.write_scores(self.progress, scores)
+        self.recorder.close()
+        aps = [self._aps[index].ravel() for index in sorted(self._aps)]
+        digests = {
+            "robots": digest(self._model),
+            "ap": digest(np.concatenate([*aps, np.zeros(0, np.float32)])),
+        }
+        kinds = {
+            "trained_in": [each for each in scores if not each.room.held_out],
+            "held_out": [each for each in scores if each.room.held_out],
+        }
+        common = summarise(
+            config,
+            self.recorder,
+            self.progress,
+            overall(kinds["trained_in"]),
+            digests,
+            self._costs(),
+            trained_s,
+        )
+        summary = common | {
+            "stopped_early": stopped,
+            "wall_s": time.perf_counter() - self._began,
+            "cpu_s": self._cpu_s(),
+            "clients": self.recorder.clients(),
+            "losses": [],
+            "rooms": {
+                "count": len(self.rooms),
+                "robots": sum(room.config(config).env.robots for room in self.rooms),
+                "ticks": [int(ticks) for ticks in self._ticks],
+                "episodes": [int(episodes) for episodes in self._episodes],
+                **{kind: overall(some)[1] for kind, some in kinds.items() if some},
+            },
+        }
+        folder.write_summary(summary)
+        if config.run.figures:
+            from training.recording.figures import save_rooms_figure  # matplotlib: where wanted
+
+            save_rooms_figure(folder.figures / "rooms.png", self.recorder.rooms)
+        return summary
+
+
+def known_rooms(config: Config, folder: RunFolder) -> list[Room]:
+    """A building's rooms: as its folder says, or drawn and written there.
+
+    Raises:
+        ConfigError: see ``conf.rooms.rooms_of``.
+    """
+    path = folder.rooms_file
+    if path.is_file():
+        try:
+            return from_json(read_text(path))
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path} cannot be read: {error}.") from error
+    rooms = rooms_of(config)
+    write_atomically(path, to_json(rooms))
+    return rooms
+
+
+def _first(network: NetworkShape, seed: int, index: int) -> Weights:
+    """Initial online and target weights, shape (2, P)."""
+    first = network.initial_weights(stream(seed, Stream.WEIGHTS, index))
+    return np.stack([first, first])

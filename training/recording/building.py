@@ -1,0 +1,143 @@
+"""The recorder of a building: what its rooms come to, together and each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from conf import Config
+from conf.rooms import Room
+from training.recording.csv_log import CsvLog
+from training.recording.history import MEASURES, METRICS
+from training.recording.progress import Progress
+from training.recording.recorder import PROGRESS_PERIOD_S, Recorder
+from training.room_evaluation import RoomScore, RoomsEvaluator, Weights, overall
+from training.rooms import RoomReport
+from training.run_folder import RunFolder
+
+ROOM_METRICS = ("room", *METRICS)
+ROOMS = ("round", "held_out", "room", "tick", "epsilon", *MEASURES)
+
+
+class BuildingRecorder(Recorder):
+    """Watches a building: a row for each episode in any room, and for each room evaluated.
+
+    What ``metrics.csv`` and ``evaluations.csv`` say of a run they say here of all rooms: episodes
+    are counted by room, and an evaluation is the mean over rooms that are trained in.
+
+    Args:
+        config: the run's configuration.
+        folder: the run's folder, made here.
+        evaluator: plays frozen weights in rooms.
+        cpu_s: processor time that the run has used so far.
+        resumed: what ``marks`` gave where the run goes on from a checkpoint.
+
+    Attributes:
+        rooms: the rows of ``rooms.csv``.
+    """
+
+    columns = ROOM_METRICS
+
+    def __init__(
+        self,
+        config: Config,
+        folder: RunFolder,
+        evaluator: RoomsEvaluator,
+        cpu_s: Callable[[], float],
+        resumed: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._took_part: Sequence[int] = ()
+        self._missing: Sequence[int] = ()
+        super().__init__(config, folder, None, cpu_s, resumed)
+        self._rooms_evaluator = evaluator
+        kept = 0 if resumed is None else resumed["rooms"]
+        self._rooms_log = CsvLog(folder.rooms_log_file, ROOMS, kept)
+        self.rooms = list(self._rooms_log.kept)
+
+    def marks(self) -> dict[str, Any]:
+        """See ``Recorder.marks``."""
+        self._rooms_log.sync()
+        return {**super().marks(), "rooms": len(self.rooms)}
+
+    def on_reports(
+        self, progress: Progress, reports: Mapping[int, RoomReport], missing: Sequence[int]
+    ) -> None:
+        """Writes what the episodes of a round came to.
+
+        Args:
+            progress: where the building is.
+            reports: of the rooms that took part, by index.
+            missing: those that could not be reached.
+        """
+        self._took_part, self._missing = sorted(reports), missing
+        for index in self._took_part:
+            for values in reports[index].episodes:
+                row = {"room": index, **dict(zip(METRICS, map(_whole, values), strict=True))}
+                self.history.episodes.append(row)
+                self._metrics.write(row)
+        ended = [report.episodes for report in reports.values() if len(report.episodes)]
+        if ended:
+            means = np.concatenate(ended).mean(axis=0).tolist()
+            row = dict(zip(METRICS, means, strict=True))
+            self._log_events("train", row, progress.tick)
+
+    def on_round(
+        self, progress: Progress, model: Weights, ap_of: Callable[[Room], Weights]
+    ) -> None:
+        """Evaluates the building's weights where that is due.
+
+        Args:
+            progress: where the building is.
+            model: the robots' online network, shape (P,).
+            ap_of: a room's access point's online network, shape (P_AP,).
+        """
+        if progress.episodes // self._config.evaluation.every > len(self.history.evaluations):
+            began = time.perf_counter()
+            scores = self._rooms_evaluator.scores(model, ap_of, self._config.evaluation.epsilon)
+            self.write_scores(progress, scores)
+            explored, greedy = overall([s for s in scores if not s.room.held_out])
+            self._write_evaluation(progress, explored, greedy)
+            self.evaluation_s += time.perf_counter() - began
+        if time.perf_counter() - self._written > PROGRESS_PERIOD_S:
+            self.report("training", progress)
+
+    def write_scores(self, progress: Progress, scores: Sequence[RoomScore]) -> None:
+        """Writes two rows of ``rooms.csv`` for each room: with exploration, and greedy."""
+        every = self._config.rooms.every
+        for score in scores:
+            at = {
+                "round": progress.window // every,
+                "held_out": int(score.room.held_out),
+                "room": score.room.index,
+                "tick": progress.tick,
+            }
+            for values in (score.explored, score.greedy):
+                row = {**at, **values}
+                self.rooms.append(row)
+                self._rooms_log.write(row)
+        for held_out, group in ((False, "rooms"), (True, "held_out_rooms")):
+            some = [score for score in scores if score.room.held_out == held_out]
+            if some:
+                self._log_events(group, overall(some)[1], progress.tick)
+
+    def status(self, progress: Progress) -> dict[str, Any]:
+        """See ``Recorder.status``."""
+        rooms = {
+            "count": self._config.rooms.count,
+            "took_part": len(self._took_part),
+            "missing": list(self._missing),
+        }
+        return {**super().status(progress), "rooms": rooms}
+
+    def close(self) -> None:
+        """See ``Recorder.close``."""
+        super().close()
+        self._rooms_log.close()
+
+
+def _whole(value: float) -> float:
+    """A number, an integer where it is whole, as files of a single room have them."""
+    return int(value) if float(value).is_integer() and abs(value) < 2**53 else float(value)

@@ -1,0 +1,95 @@
+"""Playing a building's frozen weights, room by room, in rooms trained in and rooms held out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conf import Config
+from conf.rooms import Room
+from training.evaluation import Evaluator
+from training.recording.history import MEASURES, evaluate, mean
+
+Weights = NDArray[np.float32]
+Measures = dict[str, float]
+
+
+@dataclass(frozen=True)
+class RoomScore:
+    """What frozen weights are worth in a room.
+
+    Attributes:
+        room: which.
+        explored: measures with exploration.
+        greedy: and without.
+    """
+
+    room: Room
+    explored: Measures
+    greedy: Measures
+
+
+class RoomsEvaluator:
+    """Evaluators of some of a building's rooms, made when they are first played in.
+
+    Args:
+        config: the building's configuration.
+        rooms: the building's rooms.
+
+    Attributes:
+        rooms: those that are played in while training: at most ``rooms.evaluated`` of each kind,
+            evenly over all.
+    """
+
+    def __init__(self, config: Config, rooms: Sequence[Room]) -> None:
+        self._config = config
+        most = config.rooms.evaluated
+        kinds = [[room for room in rooms if room.held_out == held] for held in (False, True)]
+        self.rooms = [room for kind in kinds for room in _spread(kind, most)]
+        self._evaluators: dict[str, Evaluator] = {}
+
+    def scores(
+        self, model: Weights, ap_of: Callable[[Room], Weights], epsilon: float
+    ) -> list[RoomScore]:
+        """Plays the held-out starts of each room.
+
+        Args:
+            model: the robots' online network, shape (P,).
+            ap_of: a room's access point's, shape (P_AP,).
+            epsilon: exploration, beside greedy play.
+        """
+        for room in self.rooms:
+            if room.name not in self._evaluators:
+                self._evaluators[room.name] = Evaluator(room.config(self._config))
+        evaluators = [self._evaluators[room.name] for room in self.rooms]
+        return [
+            RoomScore(room, *evaluate(evaluator, model[None], ap_of(room), epsilon))
+            for room, evaluator in zip(self.rooms, evaluators, strict=True)
+        ]
+
+
+def score(config: Config, room: Room, model: Weights, ap: Weights, epsilon: float) -> RoomScore:
+    """Plays one room; arguments as ``RoomsEvaluator.scores``."""
+    return RoomScore(room, *evaluate(Evaluator(room.config(config)), model[None], ap, epsilon))
+
+
+def overall(scores: Sequence[RoomScore]) -> tuple[Measures, Measures]:
+    """Means over rooms, each counted alike: explored and greedy."""
+    kinds = ([each.explored for each in scores], [each.greedy for each in scores])
+    explored, greedy = (
+        {
+            name: mean([row[name] for row in rows])
+            for name in (*MEASURES, "reward", "slots", "epsilon")
+        }
+        for rows in kinds
+    )
+    return explored, greedy
+
+
+def _spread(rooms: Sequence[Room], most: int) -> list[Room]:
+    """At most so many of some rooms, evenly over all."""
+    places = np.linspace(0, len(rooms) - 1, min(most, len(rooms))).round().astype(int)
+    return [rooms[place] for place in places]
