@@ -57,6 +57,7 @@ class Room:
             seed=self.seed,
             env=replaced(run.env, self.env, "env"),
             train=replace(run.train, episodes=ENDLESS, max_ticks=None),
+            federation=replace(run.federation, clients=None, on_loss="wait"),
             rooms=RoomsConfig(),
         )
 

@@ -16,7 +16,7 @@ from lockstep.tls import server_context
 from server_app.buildings import train_building
 from server_app.certificates import run_certificate
 from server_app.clients import Clients
-from server_app.nodes import wait_for_nodes
+from server_app.nodes import RoundError, wait_for_nodes
 from server_app.recovery import RecoveringTrainer
 from training import resume
 from training.addresses import check_address, uses_tls
@@ -53,8 +53,11 @@ def _train(grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | 
     if has_rooms(config):
         run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
         config = dataclasses.replace(config, run=run)
-        if config.federation.on_loss != "miss":
+        try:
             wait_for_nodes(grid, flower_clients(config), config.runtime.start_timeout_s)
+        except RoundError:
+            if config.federation.on_loss != "miss":
+                raise
         return train_building(grid, config, folder, resumed)
     check_address(config)
     where = config.federation.link

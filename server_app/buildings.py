@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import Any
 
 from flwr.app import Message, MessageType
@@ -16,7 +16,7 @@ from flwr.serverapp import Grid
 
 from conf import Config, fingerprint, flower_clients
 from lockstep.errors import one_line
-from server_app.nodes import POLL_S, RoundError, held_by, placed
+from server_app.nodes import POLL_S, RoundError, held_by, wait_for_nodes
 from training.building import BuildingRun
 from training.checkpoint import Checkpoint
 from training.partition import Block, partition_robots
@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 MOST_FAILURES = 5
 """Messages to one client that may fail in a round before the run is given up."""
 SURVEY_S = 60.0
+PAUSE_S = 1.0
+"""Between a round that all rooms have missed and the next try."""
 DIED = "ActorDiedError"
 """What Flower's reason for a missing reply holds where one of Ray's processes was killed."""
 
@@ -73,19 +75,8 @@ class FlowerRooms:
             for block, costs in self._costs.items()
         ]
 
-    def find(self) -> None:
-        """Finds the node of each client by the rooms that nodes hold, where a run goes on.
-
-        Raises:
-            RoundError: some rooms' checkpoints are on no node.
-        """
-        if self._config.runtime.connection is not None:
-            nodes = sorted(self._grid.get_node_ids())
-            held = held_by(self._grid, self._config, nodes, SURVEY_S)
-            self._places = placed(self._rooms, held)
-
     def play(self, task: RoundTask) -> dict[int, RoomReport]:
-        """See ``RoomHost.play``.
+        """See ``RoomHost.play``; a round that all rooms miss is played again.
 
         Raises:
             RoomsLostError: a client's process or node is gone, and is not waited for, or in vain.
@@ -93,11 +84,22 @@ class FlowerRooms:
         """
         began = time.perf_counter()
         self._shape = task.model.shape
+        for _ in range(MOST_FAILURES):
+            if reports := self._played(task):
+                log.info("round %d: %.1f s", task.number, time.perf_counter() - began)
+                return reports
+            timeout_s = self._config.federation.loss_timeout_s
+            wait_for_nodes(self._grid, 1, timeout_s)
+            time.sleep(PAUSE_S)
+        raise RoomsLostError(f"round {task.number}: no room could be reached {MOST_FAILURES} times")
+
+    def _played(self, task: RoundTask) -> dict[int, RoomReport]:
         rounds = []
         for block in self._rooms:
             own = [each for each in task.rooms if each.room.index in block]
             if own:
-                part = RoundTask(task.number, task.model, task.keep, own)
+                played = task.played.intersection(block)
+                part = RoundTask(task.number, task.model, task.keep, own, played)
                 rounds.append(_ClientRound(self, block, part))
         reports: dict[int, RoomReport] = {}
         open_rounds = list(rounds)
@@ -110,7 +112,6 @@ class FlowerRooms:
                 time.sleep(POLL_S)
         for each in rounds:
             reports |= each.reports
-        log.info("round %d: %.1f s", task.number, time.perf_counter() - began)
         return reports
 
     def _deliver(self, rounds: Sequence[_ClientRound]) -> None:
@@ -119,20 +120,20 @@ class FlowerRooms:
         for reply in self._grid.pull_messages(list(waiting)):
             waiting[reply.metadata.reply_to_message_id].take(reply)
 
-    def node_for(self, block: Block, *, fresh: bool) -> int | None:
+    def node_for(self, block: Block, played: Set[int]) -> int | None:
         """The node to ask for a client's rooms: its own while that is there, or one that is free.
 
         Args:
             block: the client's rooms.
-            fresh: whether they have no checkpoints yet.
+            played: those of them whose checkpoints must be on the node.
         """
         online = set(self._grid.get_node_ids())
         if self._places.get(block) in online:
             return self._places[block]
         free = sorted(online - set(self._places.values()))
-        if not fresh and free and self._config.runtime.connection is not None:
+        if played and free and self._config.runtime.connection is not None:
             held = held_by(self._grid, self._config, free, SURVEY_S)
-            free = [node for node in free if set(block) <= held[node]]
+            free = [node for node in free if played <= held[node]]
         if free:
             self._places[block] = free[0]
             return free[0]
@@ -215,8 +216,7 @@ class _ClientRound:
             self._lose()
         if self.done or self.sent:
             return
-        fresh = not any(each.since for each in self._task.rooms)
-        node = self._host.node_for(self._block, fresh=fresh)
+        node = self._host.node_for(self._block, self._task.played)
         if node is not None:
             self.sent = self._host.send(node, self._task, self._block)
         if not self.sent:
@@ -257,7 +257,4 @@ def train_building(
         resumed: the server's newest checkpoint; None begins the run.
     """
     with log_lines(config.run.id):
-        rooms = FlowerRooms(config, grid)
-        if resumed is not None:
-            rooms.find()
-        BuildingRun(config, folder, resumed).train(rooms)
+        BuildingRun(config, folder, resumed).train(FlowerRooms(config, grid))

@@ -114,7 +114,8 @@ class BuildingRun:
         asked = self._drawn(number)
         keep = host.forgets or self._is_due(number)
         tasks = [RoomTask(room, int(self._played[room.index]), self._given(room)) for room in asked]
-        reports = host.play(RoundTask(number, self._model, keep, tasks))
+        before = frozenset(np.flatnonzero(self._played).tolist())
+        reports = host.play(RoundTask(number, self._model, keep, tasks, before))
         came = sorted(reports)
         missing = [room.index for room in asked if room.index not in reports]
         self.progress.tick += config.rooms.every * config.federation.every

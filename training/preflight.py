@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from conf import Config, ConfigError, compose, flower_clients, from_yaml, learns_nothing
+from conf import (
+    Config,
+    ConfigError,
+    compose,
+    flower_clients,
+    from_yaml,
+    has_rooms,
+    learns_nothing,
+)
+from conf.rooms import rooms_of
 from env.validate import Problem
 from training.engine_limits import max_concurrent_clients
 
@@ -20,6 +29,8 @@ def check(config: Config) -> Config:
     """
     if config.runtime.name == "simulation" and (found := _simulation_problems(config)):
         raise ConfigError.of(found)
+    if has_rooms(config):
+        rooms_of(config)  # draws and checks each
     return config
 
 

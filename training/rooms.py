@@ -62,12 +62,15 @@ class RoundTask:
         model: the robots' network that all rooms start from, shape (2, P).
         keep: whether rooms write checkpoints at its end.
         rooms: those that take part, in order.
+        played: those of the building that have played before, and have a checkpoint somewhere;
+            for whoever deals rooms to hosts, not sent to them.
     """
 
     number: int
     model: Weights
     keep: bool
     rooms: Sequence[RoomTask]
+    played: frozenset[int] = frozenset()
 
 
 class RoomHost(Protocol):

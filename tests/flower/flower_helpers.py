@@ -6,14 +6,65 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from experiments.cli import main
+from experiments.flower.control import is_healthy
+from experiments.flower.environment import HOST, flower_command, free_port
+from experiments.flower.manifest import write_connection
 from experiments.flower.processes import MARKER, Process, identify, members
+from experiments.flower.session import Session
 
 PATIENCE_S = 300.0
+
+
+class OwnFederation:
+    """A SuperLink, and SuperNodes each with a ``state-dir``, as people start them themselves.
+
+    Args:
+        place: where the folders of the SuperNodes lie.
+        log: where all of them write.
+    """
+
+    def __init__(self, place: Path, log: IO[bytes]) -> None:
+        self._place, self._log = place, log
+        self.session, self._port = Session(), free_port()
+        self.session.spawn(
+            [flower_command("flower-superlink"), "--insecure", "--isolation", "subprocess",
+             "--disable-runtime-dependency-installation", "--host", HOST,
+             "--port", str(self._port)],
+            log,
+        )  # fmt: skip
+        wait_until(lambda: is_healthy(self._port))
+        write_connection(self.session.folder, f"{HOST}:{self._port}", None)
+
+    def state_dir(self, number: int) -> Path:
+        """Where a SuperNode keeps its robots' state."""
+        return self._place / f"node-{number}"
+
+    def join(self, number: int) -> subprocess.Popen[bytes]:
+        """Starts a SuperNode, or starts it again."""
+        own = f'partition-id={number} num-partitions=2 state-dir="{self.state_dir(number)}"'
+        return self.session.spawn(
+            [flower_command("flower-supernode"), "--insecure", "--superlink",
+             f"{HOST}:{self._port}", "--port", str(free_port()), "--node-config", own],
+            self._log,
+        )  # fmt: skip
+
+
+@contextmanager
+def own_federation(place: Path) -> Iterator[OwnFederation]:
+    """A federation that is ended afterwards, with a look whether anything is left."""
+    with (place / "federation.log").open("wb") as log:
+        federation = OwnFederation(place, log)
+        try:
+            yield federation
+        finally:
+            federation.session.stop()
+    assert members(federation.session.marker) == set()
 
 
 def summary(folder: Path) -> dict[str, Any]:

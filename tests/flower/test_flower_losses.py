@@ -16,6 +16,7 @@ from flower_helpers import (
     PATIENCE_S,
     digests_in_one_process,
     marker_below,
+    own_federation,
     start,
     state_of,
     summary,
@@ -24,11 +25,8 @@ from flower_helpers import (
 )
 
 from experiments.cli import main
-from experiments.flower.control import is_healthy
-from experiments.flower.environment import CONNECTION, HOST, flower_command, free_port
-from experiments.flower.manifest import write_connection
+from experiments.flower.environment import CONNECTION
 from experiments.flower.processes import command, members, terminate
-from experiments.flower.session import Session
 from storage.checkpoint_files import checkpoints
 from storage.checkpoint_layout import server_folder
 
@@ -125,32 +123,11 @@ def test_with_abort_a_killed_process_ends_the_run_by_the_robots_name_and_a_resum
 @pytest.fixture
 def nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], Path]]:
     """A federation of two SuperNodes, each with a ``state-dir``; tells that of each node."""
-    session, port = Session(), free_port()
-
-    def state_dir(number: int) -> Path:
-        return tmp_path / f"node-{number}"
-
-    with (tmp_path / "federation.log").open("wb") as log:
-        try:
-            session.spawn(
-                [flower_command("flower-superlink"), "--insecure", "--isolation", "subprocess",
-                 "--disable-runtime-dependency-installation", "--host", HOST, "--port", str(port)],
-                log,
-            )  # fmt: skip
-            wait_until(lambda: is_healthy(port))
-            for number in range(2):
-                own = f'partition-id={number} num-partitions=2 state-dir="{state_dir(number)}"'
-                session.spawn(
-                    [flower_command("flower-supernode"), "--insecure", "--superlink",
-                     f"{HOST}:{port}", "--port", str(free_port()), "--node-config", own],
-                    log,
-                )  # fmt: skip
-            write_connection(session.folder, f"{HOST}:{port}", None)
-            monkeypatch.setenv("FLWR_HOME", str(session.folder))
-            yield state_dir
-        finally:
-            session.stop()
-    assert members(session.marker) == set()
+    with own_federation(tmp_path) as federation:
+        federation.join(0)
+        federation.join(1)
+        monkeypatch.setenv("FLWR_HOME", str(federation.session.folder))
+        yield federation.state_dir
 
 
 @pytest.mark.skipif(bool(disks.obstacle()), reason=disks.obstacle() or "none")
