@@ -310,7 +310,7 @@ def known_rooms(config: Config, folder: RunFolder) -> list[Room]:
             return from_json(read_text(path))
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path} cannot be read: {error}.") from error
-    rooms = rooms_of(config)
+    rooms = rooms_of(config, check=False)  # as was done before the run began
     write_atomically(path, to_json(rooms))
     return rooms
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ KEYS = (
     "motion.antenna_height_m",
 )
 """What a plan may set, without the ``env.`` before it."""
+_random_plan = lru_cache(maxsize=1024)(random_plan)  # a building asks for each floor many times
 
 
 def built_in() -> list[str]:
@@ -73,7 +76,7 @@ def read(name: str) -> dict[str, Any]:
     """
     found = find(name)
     if isinstance(found, int):
-        return random_plan(found)
+        return deepcopy(_random_plan(found))
     try:
         values = tomllib.loads(read_text(found))
     except (OSError, UnicodeError, tomllib.TOMLDecodeError) as error:

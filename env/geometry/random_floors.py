@@ -127,12 +127,20 @@ def _mounts(draw: np.random.Generator, floor: Floor) -> tuple[list[float], list[
     for _ in range(MOUNTS):
         sides = draw.permutation(4)[:2].tolist()
         ap_m, ris_m = (_on_side(draw, floor, side) for side in sides)
-        fed = bool(line_of_sight(ap_m, ris_m[None], floor.walls)[0])
-        lit, reached = (line_of_sight(at, floor.centres(), floor.walls) for at in (ap_m, ris_m))
-        axis = "y" if sides[1] < 2 else "x"
-        pairs.append(((fed, int((reached & ~lit).sum())), ap_m, ris_m, axis))
-    _, ap_m, ris_m, axis = max(pairs, key=lambda pair: pair[0])
+        pairs.append((ap_m, ris_m, "y" if sides[1] < 2 else "x"))
+    fed = [bool(line_of_sight(ap_m, ris_m[None], floor.walls)[0]) for ap_m, ris_m, _ in pairs]
+    shadows = [
+        _in_shadow(floor, ap_m, ris_m) if sees == any(fed) else -1
+        for sees, (ap_m, ris_m, _) in zip(fed, pairs, strict=True)
+    ]
+    ap_m, ris_m, axis = pairs[int(np.argmax(shadows))]
     return [*ap_m.tolist(), HEIGHT_M], [*ris_m.tolist(), HEIGHT_M], axis
+
+
+def _in_shadow(floor: Floor, ap_m: NDArray[np.float64], ris_m: NDArray[np.float64]) -> int:
+    """Cells that a RIS sees and an AP does not."""
+    lit, reached = (line_of_sight(at, floor.centres(), floor.walls) for at in (ap_m, ris_m))
+    return int((reached & ~lit).sum())
 
 
 def _on_side(draw: np.random.Generator, floor: Floor, side: int) -> NDArray[np.float64]:
