@@ -25,7 +25,7 @@ def rules(config: Config) -> Iterator[Problem]:
         for item in fields(rooms):
             default = getattr(RoomsConfig(), item.name)
             if getattr(rooms, item.name) != default:
-                say = "not set with rooms.count=1: only buildings read it"
+                say = "not set with rooms.count=1 and rooms.held_out=0: only buildings read it"
                 yield f"rooms.{item.name}", getattr(rooms, item.name), say
         return
     if config.scheme.agents != "federated" or config.scheme.robots != "learned":
@@ -34,7 +34,7 @@ def rules(config: Config) -> Iterator[Problem]:
         )
         yield "rooms.count", rooms.count, f"{say}: rooms share what robots learn"
     if config.strategy.name == "none":
-        say = "any other with rooms.count above 1: a room hands on one network"
+        say = "any other in a building: a room hands on one network"
         yield "strategy.name", config.strategy.name, say
     if config.federation.windows_per_round is not None:
         say = "null in a building: its rounds are of rooms.every windows"

@@ -118,7 +118,9 @@ class RoomsConfig:
     and so on. Its seed, which draws its radio map, starts and destinations, comes from the run's.
     """
 
-    count: Annotated[int, Interval(ge=1, le=10_000), "R; 1 is the one room of env"] = 1
+    count: Annotated[
+        int, Interval(ge=1, le=10_000), "R; 1 with nothing held out is the one room of env"
+    ] = 1
     plans: Annotated[
         list[Any], "floor plans; random is a floor of its own for each room, [] is env.plan"
     ] = field(default_factory=list)
@@ -208,7 +210,7 @@ def flower_clients(config: Config) -> int:
 
 def has_rooms(config: Config) -> bool:
     """Whether a run is of a building, and not of the one room that ``env`` describes."""
-    return config.rooms.count > 1
+    return config.rooms.count > 1 or config.rooms.held_out > 0
 
 
 def waits_for_the_lost(config: Config) -> bool:

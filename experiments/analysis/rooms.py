@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from client_app.rooms import HostedRoom
 from conf import Config, ConfigError
+from conf.rooms import Room
 from training.building import known_rooms
 from training.evaluation import Evaluator
 from training.recording.history import MEASURES, mean
@@ -61,6 +62,22 @@ def columns(
         name: {key: mean([row[key] for row in rows]) for key in (*MEASURES, "reward", "slots")}
         for name, rows in found.items()
     }
+
+
+def personalised(folder: RunFolder, room: Room, ticks: int) -> Measures:
+    """What a room's weights are worth, greedily, once it has learned on by itself.
+
+    Args:
+        folder: of the building's run.
+        room: one of its rooms.
+        ticks: see ``adapted``.
+    """
+    place = folder.room(room.name)
+    config = place.read_config()
+    robots, ap = place.read_networks(config)
+    model, own_ap = adapted(config, robots[0], ap, ticks)
+    (measures,) = Evaluator(config).play(model[None], own_ap, (0.0,))
+    return measures.summary()
 
 
 def adapted(config: Config, robots: Weights, ap: Weights, ticks: int) -> tuple[Weights, Weights]:

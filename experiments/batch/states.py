@@ -5,8 +5,9 @@ from __future__ import annotations
 from enum import Enum
 from pathlib import Path
 
-from conf import Config, ConfigError, fingerprint
+from conf import Config, ConfigError, fingerprint, has_rooms
 from training import resume
+from training.building import known_rooms
 from training.checkpoint import Checkpoint
 from training.run_folder import RunFolder
 
@@ -39,7 +40,7 @@ def cost_s(config: Config) -> float:
     ticks = min(ticks, config.train.max_ticks or ticks)
     each_ms = MS_PER_TICK_AND_ROBOT * config.env.robots * COST[config.scheme.agents]
     each_ms *= 1 + (worlds - 1) / WORLDS_AS_DEAR
-    return ticks * each_ms / 1000
+    return ticks * each_ms * config.rooms.count / 1000
 
 
 def state_of(config: Config) -> State:
@@ -73,7 +74,11 @@ def _is_done(config: Config) -> bool:
         whole = not summary["stopped_early"] and summary["fingerprint"] == fingerprint(config.env)
         if not whole or not resume.same(folder.read_config(), config):
             return False
-        folder.read_weights(config)
+        for part in known_rooms(config, folder) if has_rooms(config) else ():
+            place = folder.room(part.name)
+            place.read_weights(place.read_config())
+        if not has_rooms(config):
+            folder.read_weights(config)
     except (LookupError, TypeError, ValueError, OSError):
         return False
     return folder.has_records

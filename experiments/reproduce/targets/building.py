@@ -1,0 +1,273 @@
+"""What more rooms bring to rooms that nobody trained in: ``experiment=building``, R = 1 to 64.
+
+Each seed has sixteen held-out rooms, the same ones for every R. Weights drive there greedily, as
+they come and after some local learning, beside the rule that knows all channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from conf import Config, ap_network, robot_network
+from conf.rooms import Room
+from experiments.analysis.optimality_gap import shortest_best_measures
+from experiments.analysis.rooms import personalised
+from experiments.reproduce.results.output import (
+    QUICK,
+    Row,
+    plain,
+    save_figure,
+    write_csv,
+    write_table,
+)
+from experiments.reproduce.results.runs import Run, Runs
+from experiments.reproduce.results.statistics import Estimate, estimate
+from experiments.reproduce.targets.plan import Cell
+from training.building import known_rooms
+from training.evaluation import Evaluator
+from training.recording.history import mean
+
+SEEDS = (50, 51, 52)
+"""Those of ``experiment=building`` were 0 and 1."""
+COUNTS = (1, 4, 16, 64)
+HELD_OUT = 16
+TICKS = 1200
+ADAPTED = 240
+"""Ticks of local learning in a held-out room."""
+
+ROOMS = "R = {}"
+LONGER = "R = 4, as many steps in all as R = 16"
+OWN = "R = 16, access points not averaged"
+PART = "R = 16, a third of the rooms missing in each round"
+OPEN = "R = 64, the default plan, map seeds apart"
+
+HEADER = (
+    "rooms",
+    "success, held-out",
+    "EE there, % of the rule's",
+    f"after {ADAPTED} ticks there: success",
+    "EE, %",
+    "success, trained in",
+    "EE there, %",
+    "joint steps, 1000",
+    "between rooms, MB",
+    "CPU s",
+)
+NOTE = (
+    "Frozen final weights, greedy, in {held_out} held-out rooms and in at most as many of those"
+    " trained in, 50 held-out starts each; EE is objective (5a), and the rule drives shortest ways"
+    " with the best phases and powers for the room's true channels. Interquartile means over seeds"
+    " {seeds} with 95 % bootstrap intervals. Joint steps are those of all worlds of all rooms; MB"
+    " are the weights that rooms send and receive in their averages; CPU seconds are of the"
+    " training run with its evaluations, local learning apart."
+)
+MEASURES = {
+    "success": (".3f", 1.0),
+    "ee_share": (".1f", 100.0),
+    "adapted_success": (".3f", 1.0),
+    "adapted_share": (".1f", 100.0),
+    "trained_success": (".3f", 1.0),
+    "trained_share": (".1f", 100.0),
+    "steps": (".0f", 1e-3),
+    "megabytes": (".1f", 1.0),
+    "cpu_s": (".0f", 1.0),
+}
+"""How each is written, and times what."""
+
+
+class BuildingOutcome(NamedTuple):
+    """What a building came to with one seed.
+
+    Attributes:
+        rooms: the cell's name.
+        seed: the run's.
+        success: share of the robots that arrive in held-out rooms.
+        ee_share: their energy efficiency, objective (5a), as a share of the rule's there.
+        adapted_success: success after local learning.
+        adapted_share: EE after it.
+        trained_success: success in rooms trained in.
+        trained_share: EE there.
+        steps: joint steps of all worlds in all rooms.
+        megabytes: of weights between rooms.
+        cpu_s: processor time of the run in s.
+    """
+
+    rooms: str
+    seed: int
+    success: float
+    ee_share: float
+    adapted_success: float
+    adapted_share: float
+    trained_success: float
+    trained_share: float
+    steps: float
+    megabytes: float
+    cpu_s: float
+
+
+class Building:
+    """The target ``building``."""
+
+    name = "building"
+
+    def cells(self, quick: bool) -> list[Cell]:
+        """See ``Target``."""
+        seeds = SEEDS[:1] if quick else SEEDS
+        counts = COUNTS[:2] if quick else COUNTS
+        short = _ticks(300) if quick else ()
+        cells = [_cell(ROOMS.format(count), count, seeds, *short) for count in counts]
+        if quick:
+            return cells
+        return [
+            *cells,
+            _cell(LONGER, 4, seeds, *_ticks(4 * TICKS)),
+            _cell(OWN, 16, seeds, "rooms.access_points=own"),
+            _cell(PART, 16, seeds, "rooms.fraction=0.6667"),
+            _cell(OPEN, 64, seeds, "rooms.plans=[]"),
+        ]
+
+    def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
+        """See ``Target``."""
+        found = [outcome(name, run) for name, each in runs.items() for run in each.values()]
+        made = estimates(found)
+        rows: list[Row] = [
+            (name, *(measured[key].text(*how) for key, how in MEASURES.items()))
+            for name, measured in made.items()
+        ]
+        seeds = ", ".join(map(str, sorted({each.seed for each in found})))
+        note = NOTE.format(held_out=HELD_OUT, seeds=seeds)
+        note = f"{note} {QUICK.capitalize()}." if quick else note
+        return [
+            *save_figure(_drawn(made), out, self.name, quick=quick),
+            write_table(out / "building.md", HEADER, rows, note),
+            write_csv(out / "building_runs.csv", BuildingOutcome._fields, found),
+        ]
+
+
+TARGET = Building()
+
+
+def _cell(name: str, count: int, seeds: tuple[int, ...], *changes: str) -> Cell:
+    """A building that is evaluated at its end alone, which costs less."""
+    own = (f"rooms.count={count}", f"rooms.held_out={HELD_OUT}", "evaluation.every=1000000")
+    return Cell(name, ("experiment=building", *own, *changes), seeds)
+
+
+def _ticks(count: int) -> tuple[str, ...]:
+    """A run of another length, with its schedules."""
+    return (
+        f"train.max_ticks={count}",
+        f"agent.learning_rate_updates={count}",
+        f"agent.epsilon.ticks={count // 3}",
+    )
+
+
+def outcome(name: str, run: Run) -> BuildingOutcome:
+    """What a run came to.
+
+    Raises:
+        ConfigError: its weights are missing or damaged.
+    """
+    config = run.config
+    rooms = known_rooms(config, run.files)
+    held_out = [room for room in rooms if room.held_out]
+    trained = [room for room in rooms if not room.held_out][:HELD_OUT]
+    rules = {
+        room.name: shortest_best_measures(Evaluator(room.config(config))).summary()["ee"]
+        for room in (*held_out, *trained)
+    }
+    scores = {
+        "held out": [_greedy(run, room) for room in held_out],
+        "trained": [_greedy(run, room) for room in trained],
+        "adapted": [personalised(run.files, room, ADAPTED) for room in held_out],
+    }
+    success = {kind: mean([each["success"] for each in some]) for kind, some in scores.items()}
+    share = {
+        kind: mean(
+            [
+                each["ee"] / rules[room.name]
+                for each, room in zip(some, trained if kind == "trained" else held_out, strict=True)
+            ]
+        )
+        for kind, some in scores.items()
+    }
+    return BuildingOutcome(
+        name,
+        run.seed,
+        success["held out"],
+        share["held out"],
+        success["adapted"],
+        share["adapted"],
+        success["trained"],
+        share["trained"],
+        config.train.worlds * sum(run.summary["rooms"]["ticks"]),
+        _megabytes(config, trained[0], run.summary["rooms"]["ticks"]),
+        run.summary["cpu_s"],
+    )
+
+
+def _greedy(run: Run, room: Room) -> dict[str, float]:
+    """What a room's final weights are worth in it."""
+    place = run.files.room(room.name)
+    config = place.read_config()
+    (measures,) = Evaluator(config).play(*place.read_weights(config), (0.0,))
+    return measures.summary()
+
+
+def _megabytes(config: Config, room: Room, ticks: Sequence[int]) -> float:
+    """Weights, online and target, that rooms take and hand on each time that they take part."""
+    own = room.config(config)
+    count = robot_network(own).parameters
+    if config.rooms.access_points == "mean":
+        count += ap_network(own).parameters
+    rounds = sum(ticks) / (config.rooms.every * config.federation.every)
+    return 2 * 2 * 4 * count * rounds / 1e6
+
+
+Estimates = dict[str, dict[str, Estimate]]
+
+
+def estimates(found: Sequence[BuildingOutcome]) -> Estimates:
+    """Interquartile means over seeds with intervals, in the order of the outcomes."""
+    groups: dict[str, list[BuildingOutcome]] = {}
+    for each in found:
+        groups.setdefault(each.rooms, []).append(each)
+    return {
+        name: {key: estimate([getattr(each, key) for each in some]) for key in MEASURES}
+        for name, some in groups.items()
+    }
+
+
+def _drawn(made: Estimates) -> Figure:
+    """Success and energy efficiency in held-out rooms against the number of rooms trained in."""
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    axes = figure.subplots(1, 2)
+    counts = [count for count in COUNTS if ROOMS.format(count) in made]
+    panels = (("success", "success"), ("share", "EE, % of the rule's"))
+    for panel, (measure, label) in zip(axes, panels, strict=True):
+        lines = (
+            ("ee_share" if measure == "share" else measure, "held-out rooms, as it comes"),
+            (f"adapted_{measure}", f"after {ADAPTED} ticks of its own"),
+            (f"trained_{measure}", "rooms trained in"),
+        )
+        for (key, name), marker in zip(lines, "osd", strict=True):
+            points = [made[ROOMS.format(count)][key] for count in counts]
+            scale = 100.0 if measure == "share" else 1.0
+            value, low, high = (
+                scale * np.array([getattr(point, end) for point in points])
+                for end in ("value", "low", "high")
+            )
+            panel.errorbar(
+                counts, value, (value - low, high - value), marker=marker, capsize=3, label=name
+            )
+        panel.set_xscale("log", base=2)
+        panel.set_xticks(counts, [str(count) for count in counts])
+        panel.set(xlabel="rooms trained in, R", ylabel=label)
+        plain(panel)
+    axes[0].legend(frameon=False)
+    return figure
