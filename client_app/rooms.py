@@ -56,6 +56,9 @@ class HostedRoom:
 
     Args:
         config: of the room, as ``conf.rooms.Room.config`` makes it.
+
+    Attributes:
+        parameters: P, of the robots' network.
     """
 
     def __init__(self, config: Config) -> None:
@@ -72,7 +75,8 @@ class HostedRoom:
         )
         self._until = 0
         self._rows: list[list[float]] = []
-        self._coordinator.begin(np.zeros((2, self._group.parameters), np.float32))
+        self.parameters = self._group.parameters
+        self._coordinator.begin(np.zeros((2, self.parameters), np.float32))
 
     def play(self, windows: int, model: Weights, ap: Weights | None = None) -> RoomReport:
         """Plays some windows from a network on.
@@ -99,7 +103,7 @@ class HostedRoom:
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
-        self._coordinator.begin(np.zeros((2, self._group.parameters), np.float32), state)
+        self._coordinator.begin(np.zeros((2, self.parameters), np.float32), state)
         for robot in self._group.robots:
             self._group.agents.restore_agent(robot, part(state, f"robot-{robot}"))
 

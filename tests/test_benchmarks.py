@@ -24,6 +24,7 @@ from storage.checkpoint_layout import robot_folder, server_folder
         "env_step",
         "parts",
         "scaling",
+        "rooms",
         pytest.param("central", marks=pytest.mark.slow),
     ],
 )
