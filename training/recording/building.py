@@ -105,8 +105,12 @@ class BuildingRecorder(Recorder):
             self.report("training", progress)
 
     def write_scores(self, progress: Progress, scores: Sequence[RoomScore]) -> None:
-        """Writes two rows of ``rooms.csv`` for each room: with exploration, and greedy."""
+        """Writes two rows of ``rooms.csv`` for each room: with exploration, and greedy.
+
+        TensorBoard gets means, and each of the rooms that are evaluated on the way.
+        """
         every = self._config.rooms.every
+        followed = {room.name for room in self._rooms_evaluator.rooms}
         for score in scores:
             at = {
                 "round": progress.window // every,
@@ -118,6 +122,8 @@ class BuildingRecorder(Recorder):
                 row = {**at, **values}
                 self.rooms.append(row)
                 self._rooms_log.write(row)
+            if score.room.name in followed:
+                self._log_events(f"room_{score.room.name}", score.greedy, progress.tick)
         for held_out, group in ((False, "rooms"), (True, "held_out_rooms")):
             some = [score for score in scores if score.room.held_out == held_out]
             if some:
