@@ -141,7 +141,8 @@ class RunFolder:
     @property
     def has_ended(self) -> bool:
         """Whether what a run writes at its end is there."""
-        return self.summary_file.is_file() and self.weights_file.is_file()
+        weights = self.weights_file.is_file() or self.rooms_file.is_file()  # rooms have their own
+        return self.summary_file.is_file() and weights
 
     @property
     def has_records(self) -> bool:
@@ -168,7 +169,8 @@ class RunFolder:
             whole: also what it had recorded, since it begins again.
         """
         stale = [self.progress_file, self.summary_file]
-        for path in stale + ([self.metrics_file, self.evaluations_file] if whole else []):
+        recorded = [self.metrics_file, self.evaluations_file, self.rooms_log_file]
+        for path in stale + (recorded if whole else []):
             path.unlink(missing_ok=True)
         if whole:
             shutil.rmtree(self.tensorboard, ignore_errors=True)
