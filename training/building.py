@@ -24,11 +24,11 @@ from storage.atomic import write_atomically
 from storage.checkpoint_files import Writer, digest
 from storage.checkpoint_layout import owner
 from training.checkpoint import Checkpoint, flat, part, save_server
-from training.room_recording import BuildingRecorder
 from training.recording.costs import Costs
 from training.recording.progress import Progress
 from training.recording.summary import summarise
 from training.room_evaluation import RoomScore, RoomsEvaluator, overall, score
+from training.room_recording import BuildingRecorder
 from training.rooms import RoomHost, RoomReport, RoomTask, RoundTask, Weights
 from training.run_folder import RunFolder
 
