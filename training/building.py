@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import NetworkShape, single_threaded
+from agent import single_threaded
 from conf import Config, ConfigError, ap_network, fingerprint, robot_network
-from conf.rooms import Room, from_json, rooms_of, to_json
+from conf.rooms import Room, from_json, rooms_of
 from env.seeding import Stream, stream
 from env.texts import read_text
-from storage.atomic import write_atomically
 from storage.checkpoint_files import Writer, digest
 from storage.checkpoint_layout import owner
 from training.checkpoint import Checkpoint, flat, part, save_server

@@ -141,7 +141,7 @@ class RunFolder:
     @property
     def has_ended(self) -> bool:
         """Whether what a run writes at its end is there."""
-        weights = self.weights_file.is_file() or self.rooms_file.is_file()  # rooms have their own
+        weights = self.weights_file.is_file() or self.rooms_file.is_file()  # else rooms have them
         return self.summary_file.is_file() and weights
 
     @property
