@@ -316,3 +316,12 @@ def known_rooms(config: Config, folder: RunFolder) -> list[Room]:
             raise ConfigError(f"{path}: its rooms are not those of the run's configuration.")
         return rooms
     rooms = rooms_of(config, check=False)  # as was done before the run began
+    rooms = rooms_of(config, check=False)  # as was done before the run began
+    write_atomically(path, to_json(rooms))
+    return rooms
+
+
+def _first(network: NetworkShape, seed: int, index: int) -> Weights:
+    """Initial online and target weights, shape (2, P)."""
+    first = network.initial_weights(stream(seed, Stream.WEIGHTS, index))
+    return np.stack([first, first])
