@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import single_threaded
+from agent import NetworkShape, single_threaded
 from conf import Config, ConfigError, ap_network, fingerprint, robot_network
-from conf.rooms import Room, from_json, rooms_of
+from conf.rooms import Room, from_json, rooms_of, to_json
 from env.seeding import Stream, stream
 from env.texts import read_text
+from storage.atomic import write_atomically
 from storage.checkpoint_files import Writer, digest
 from storage.checkpoint_layout import owner
 from training.checkpoint import Checkpoint, flat, part, save_server
@@ -315,7 +316,6 @@ def known_rooms(config: Config, folder: RunFolder) -> list[Room]:
         if [(room.held_out, room.index) for room in rooms] != own:
             raise ConfigError(f"{path}: its rooms are not those of the run's configuration.")
         return rooms
-    rooms = rooms_of(config, check=False)  # as was done before the run began
     rooms = rooms_of(config, check=False)  # as was done before the run began
     write_atomically(path, to_json(rooms))
     return rooms

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -335,7 +335,7 @@ def test_rooms_are_dealt_to_four_clients_at_most_unless_more_are_asked_for(
 
 
 @pytest.fixture
-def refused(building: Building) -> Iterator[Callable[..., str]]:
+def refused(building: Building) -> Callable[..., str]:
     """Draws rooms that must be refused; returns what is said."""
 
     def make(*overrides: str) -> str:
