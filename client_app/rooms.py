@@ -23,7 +23,12 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 from lockstep import InProcessFleet
-from storage.checkpoint_files import checkpoints, load_checkpoint, save_checkpoint
+from storage.checkpoint_files import (
+    checkpoints,
+    drop_between,
+    load_checkpoint,
+    save_checkpoint,
+)
 from storage.checkpoint_layout import room_folder, room_owner
 from training.aggregation.strategies import build_aggregator
 from training.checkpoint import flat, part
@@ -130,11 +135,13 @@ class RoomKeeper:
         config: of the building.
         state: the folder of checkpoints on this machine; None keeps none.
         rooms: those that this process has at hand, and the round that each has last played.
+        kept: the round of each room's last checkpoint, of those that this process has written.
     """
 
     config: Config
     state: Path | None
     rooms: dict[str, tuple[HostedRoom, int]] = field(default_factory=dict)
+    kept: dict[str, int] = field(default_factory=dict)
 
     def play(self, task: RoundTask) -> dict[int, RoomReport]:
         """Plays a round in each room that takes part, one after the other.
@@ -147,14 +154,31 @@ class RoomKeeper:
         """
         reports = {}
         for asked in task.rooms:
-            room = self._at_hand(asked)
+            room, name = self._at_hand(asked), asked.room.name
+            self.rooms.pop(name, None)  # half a round in it, if an error ends the other half
             reports[asked.room.index] = room.play(self.config.rooms.every, task.model, asked.ap)
-            name = asked.room.name
             self.rooms[name] = (room, task.number)
             if task.keep and self.state is not None:
-                owner = room_owner(self.config.run.id, name)
-                save_checkpoint(room_folder(self.state, name), task.number, room.state(), owner)
+                drop_between(room_folder(self.state, name), asked.since, task.number)
+                self._save(self.state, name)
         return reports
+
+    def keep(self) -> None:
+        """Writes a checkpoint of each room at hand that has none of the round it last played.
+
+        Raises:
+            OSError: one could not be written.
+        """
+        if self.state is not None:
+            for name, (_, played) in self.rooms.items():
+                if self.kept.get(name) != played:
+                    self._save(self.state, name)
+
+    def _save(self, state: Path, name: str) -> None:
+        room, played = self.rooms[name]
+        owner = room_owner(self.config.run.id, name)
+        save_checkpoint(room_folder(state, name), played, room.state(), owner)
+        self.kept[name] = played
 
     def _at_hand(self, asked: RoomTask) -> HostedRoom:
         """The room as it was after the round that it goes on from."""

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
-
-import numpy as np
 
 from conf.checks import problems
 from conf.errors import ConfigError
@@ -20,7 +18,7 @@ from conf.schema import Config, RoomsConfig
 from env.checks import planned_config, replaced
 from env.config import EnvConfig
 from env.geometry import floor_plans
-from env.seeding import Stream
+from env.seeding import Stream, derived_seed
 
 ENDLESS = 10**9
 """Episodes of a room: the building ends its rooms."""
@@ -103,16 +101,24 @@ def from_json(text: str) -> list[Room]:
         ValueError: it is none of it.
     """
     try:
-        return [Room(**room) for room in json.loads(text)]
+        rooms = [Room(**room) for room in json.loads(text)]
     except TypeError as error:
         raise ValueError(str(error)) from error
+    for room in rooms:
+        for item in fields(Room):
+            value = getattr(room, item.name)
+            if type(value) is not _KINDS[item.name] or (type(value) is int and value < 0):
+                raise ValueError(f"a room's {item.name} is {value!r}")
+    return rooms
+
+
+_KINDS = {"index": int, "held_out": bool, "seed": int, "env": dict}
 
 
 def _drawn(config: Config, index: int, *, held_out: bool) -> Room:
     """A room by itself."""
     name = Stream.HELD_OUT_ROOM if held_out else Stream.ROOM
-    sequence = np.random.SeedSequence(entropy=config.seed, spawn_key=(int(name), index))
-    seed = int(sequence.generate_state(1)[0])
+    seed = derived_seed(config.seed, name, index)
     rooms, env = config.rooms, config.env
     changes: dict[str, Any] = {"map_seed": seed}
     if rooms.robots:

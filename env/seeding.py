@@ -40,5 +40,13 @@ def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:
     Returns:
         A fresh PCG64 generator at the start of its stream.
     """
-    sequence = np.random.SeedSequence(entropy=seed, spawn_key=(int(name), index))
-    return np.random.Generator(np.random.PCG64(sequence))
+    return np.random.Generator(np.random.PCG64(_sequence(seed, name, index)))
+
+
+def derived_seed(seed: int, name: Stream, index: int = 0) -> int:
+    """A seed of 32 bits for whatever has streams of its own, such as a room of a building."""
+    return int(_sequence(seed, name, index).generate_state(1)[0])
+
+
+def _sequence(seed: int, name: Stream, index: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(entropy=seed, spawn_key=(int(name), index))

@@ -14,7 +14,7 @@ from typing import Any
 from flwr.app import Message, MessageType
 from flwr.serverapp import Grid
 
-from conf import Config, fingerprint, flower_clients
+from conf import Config, fingerprint, flower_clients, weight_shapes
 from lockstep.errors import one_line
 from server_app.nodes import POLL_S, RoundError, held_by, wait_for_nodes
 from training.building import BuildingRun
@@ -53,7 +53,9 @@ class FlowerRooms:
         self._places: dict[Block, int] = {}
         self._fingerprint = fingerprint(config.env)
         self._costs: dict[Block, Costs] = dict.fromkeys(self._rooms, Costs())
-        self._shape: tuple[int, ...] = ()
+
+    def keep(self) -> None:
+        """See ``RoomHost.keep``: they have, at the end of each round."""
 
     def costs(self) -> Costs:
         """See ``RoomHost.costs``."""
@@ -83,7 +85,6 @@ class FlowerRooms:
             RoundError: a client fails again and again, or replies what it was not asked.
         """
         began = time.perf_counter()
-        self._shape = task.model.shape
         for _ in range(MOST_FAILURES):
             if reports := self._played(task):
                 log.info("round %d: %.1f s", task.number, time.perf_counter() - began)
@@ -159,9 +160,15 @@ class FlowerRooms:
         Raises:
             RoundError: it is not what was asked.
         """
-        rooms = [each.room.index for each in task.rooms]
+        shapes = {
+            each.room.index: {
+                "model": task.model.shape,
+                "ap": weight_shapes(each.room.config(self._config))["ap"],
+            }
+            for each in task.rooms
+        }
         try:
-            reports, spent = read_reply(reply.content, rooms, self._shape)
+            reports, spent = read_reply(reply.content, shapes)
         except (LookupError, TypeError, ValueError) as error:
             raise RoundError(f"round {task.number}: {error}") from error
         more = Costs(client_cpu_s=spent.cpu_s, flower_bytes=spent.nbytes)
@@ -219,7 +226,9 @@ class _ClientRound:
         node = self._host.node_for(self._block, self._task.played)
         if node is not None:
             self.sent = self._host.send(node, self._task, self._block)
-        if not self.sent:
+        if self.sent:
+            self._lost_at = None
+        else:
             self._lose()
 
     def _lose(self) -> None:

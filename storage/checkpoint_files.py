@@ -75,6 +75,22 @@ def save_checkpoint(
     return path
 
 
+def drop_between(folder: Path, after: int, before: int) -> None:
+    """Drops checkpoints of steps that a run has gone back from, both ends excluded.
+
+    What a side wrote in vain would otherwise count among those that are kept, and push the one
+    that it goes back to out.
+
+    Args:
+        folder: where they were saved.
+        after: the step that a side went back to.
+        before: the step that it has now come to.
+    """
+    for step in checkpoints(folder):
+        if after < step < before:
+            _path(folder, step).unlink()
+
+
 class Writer:
     """Writes checkpoints one after the other, beside the work that goes on.
 

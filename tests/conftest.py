@@ -50,6 +50,23 @@ TINY = (
 """Three robots in a room of 48 cells that learn from their eighth transition on."""
 
 
+BUILDING = (
+    "env.robots=2",
+    "env.motion.max_slots=12",
+    "agent.epsilon.ticks=40",
+    "rooms.count=3",
+    "rooms.held_out=1",
+    "rooms.every=2",
+    "federation.every=5",
+    "train.episodes=100000000",
+    "train.max_ticks=40",
+    "evaluation.every=3",
+    "evaluation.episodes=2",
+    "state.every=4",
+)
+"""On top of it: three rooms of two robots and one held out, in four rounds of ten ticks."""
+
+
 @pytest.fixture(autouse=True)
 def _one_at_a_time(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
@@ -133,6 +150,23 @@ def tiny(_tiny_defaults: Any) -> Callable[..., Any]:
     return make
 
 
+@pytest.fixture(scope="session")
+def _building_defaults(_tiny_defaults: Any) -> Any:
+    from conf import overridden
+
+    return overridden(_tiny_defaults, BUILDING)
+
+
+@pytest.fixture(scope="session")
+def tiny_building(_building_defaults: Any) -> Callable[..., Any]:
+    """Makes the tiny building's configuration, with values changed by their dotted keys."""
+
+    def make(changes: Mapping[str, Any] | None = None) -> Any:
+        return changed(_building_defaults, changes or {})
+
+    return make
+
+
 @pytest.fixture
 def play() -> Callable[..., Played]:
     """Plays a run without a folder: ``play(config, blocks)`` or ``play(config, fleet=...)``."""
@@ -196,4 +230,26 @@ def tiny_run(_tiny_defaults: Any, tmp_path_factory: pytest.TempPathFactory) -> P
     folder: Path = tmp_path_factory.mktemp("tiny") / "run"
     changes = {"run.dir": str(folder), "run.figures": True, "run.tensorboard": True}
     local.train(changed(_tiny_defaults, changes), RunFolder(folder))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def building_overrides() -> tuple[str, ...]:
+    """The tiny building as Hydra overrides, for commands."""
+    set_anew = {item.partition("=")[0] for item in BUILDING}
+    kept = [item for item in TINY if item.partition("=")[0] not in set_anew]
+    return (*kept, *BUILDING)
+
+
+@pytest.fixture(scope="session")
+def building_run(
+    tiny_building: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The folder of a finished building, with figures; not to be written to."""
+    from experiments.runtimes import local
+    from training.run_folder import RunFolder
+
+    folder: Path = tmp_path_factory.mktemp("building") / "run"
+    config = tiny_building({"run.dir": str(folder), "run.figures": True, "run.tensorboard": True})
+    local.train(config, RunFolder(folder))
     return folder

@@ -24,11 +24,11 @@ from storage.atomic import write_atomically
 from storage.checkpoint_files import Writer, digest
 from storage.checkpoint_layout import owner
 from training.checkpoint import Checkpoint, flat, part, save_server
-from training.recording.building import BuildingRecorder
 from training.recording.costs import Costs
 from training.recording.progress import Progress
 from training.recording.summary import summarise
 from training.room_evaluation import RoomScore, RoomsEvaluator, overall, score
+from training.room_recording import BuildingRecorder
 from training.rooms import RoomHost, RoomReport, RoomTask, RoundTask, Weights
 from training.run_folder import RunFolder
 
@@ -112,10 +112,9 @@ class BuildingRun:
         config, number = self._config, self.progress.window // self._config.rooms.every + 1
         self.recorder.round = number
         asked = self._drawn(number)
-        keep = host.forgets or self._is_due(number)
         tasks = [RoomTask(room, int(self._played[room.index]), self._given(room)) for room in asked]
         before = frozenset(np.flatnonzero(self._played).tolist())
-        reports = host.play(RoundTask(number, self._model, keep, tasks, before))
+        reports = host.play(RoundTask(number, self._model, host.forgets, tasks, before))
         came = sorted(reports)
         missing = [room.index for room in asked if room.index not in reports]
         self.progress.tick += config.rooms.every * config.federation.every
@@ -128,7 +127,9 @@ class BuildingRun:
             self._share(number, [reports[index] for index in came])
         self.recorder.on_round(self.progress, self._model[0], self.ap_of)
         stopped = self._folder.stop_file.exists()
-        if config.state.every is not None and (keep or stopped or self._is_over()):
+        due = host.forgets or self._is_due(number) or stopped or self._is_over()
+        if config.state.every is not None and due:
+            host.keep()
             self._checkpoint()
         return stopped
 
@@ -202,7 +203,7 @@ class BuildingRun:
         return self._costs_before.plus(Costs() if self._host is None else self._host.costs())
 
     def _checkpoint(self) -> None:
-        """Writes the server's checkpoint of a round that rooms have kept, too."""
+        """Writes the server's checkpoint of a round; those of all rooms are there."""
         counters = [self.progress.tick, self.progress.window, self.progress.episodes]
         run = {
             "progress": np.array(counters),
@@ -307,9 +308,14 @@ def known_rooms(config: Config, folder: RunFolder) -> list[Room]:
     path = folder.rooms_file
     if path.is_file():
         try:
-            return from_json(read_text(path))
+            rooms = from_json(read_text(path))
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path} cannot be read: {error}.") from error
+        own = [(False, index) for index in range(config.rooms.count)]
+        own += [(True, index) for index in range(config.rooms.held_out)]
+        if [(room.held_out, room.index) for room in rooms] != own:
+            raise ConfigError(f"{path}: its rooms are not those of the run's configuration.")
+        return rooms
     rooms = rooms_of(config, check=False)  # as was done before the run began
     write_atomically(path, to_json(rooms))
     return rooms

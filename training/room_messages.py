@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from flwr.app import Array, ArrayRecord, ConfigRecord, MetricRecord, RecordDict
+from numpy.typing import NDArray
 
+from agent.networks.limits import WEIGHT_LIMIT, magnitude
 from conf import Config, from_yaml, to_yaml
 from conf.rooms import from_json, to_json
 from training.recording.history import METRICS
@@ -89,37 +92,58 @@ def replied(reports: Mapping[int, RoomReport], cpu_s: float) -> RecordDict:
 
 
 def read_reply(
-    content: RecordDict, rooms: Sequence[int], shape: tuple[int, ...]
+    content: RecordDict, shapes: Mapping[int, Mapping[str, tuple[int, ...]]]
 ) -> tuple[dict[int, RoomReport], Spent]:
     """What ``replied`` wrote.
 
     Args:
         content: of the reply.
-        rooms: those that were asked.
-        shape: of a robot's weights, (2, P).
+        shapes: for each room that was asked, of its weights: "model" (2, P) and "ap" (2, P_AP).
 
     Raises:
-        ValueError: it is of other rooms, or weights of another type or shape.
+        LookupError: a part of it is missing.
+        ValueError: it is of other rooms, of weights of another type or shape or absurd ones, or of
+            numbers that no room comes to.
     """
     said = cast(Mapping[str, Any], content.config_records[ROOMS])
     arrays = _arrays(content)
-    ticks = dict(zip(said["rooms"], said["ticks"], strict=True))
-    if sorted(ticks) != sorted(rooms):
-        raise ValueError(f"a reply of rooms {sorted(ticks)} where {sorted(rooms)} were asked")
+    if sorted(said["rooms"]) != sorted(shapes):
+        raise ValueError(f"a reply of rooms {said['rooms']} where {sorted(shapes)} were asked")
     reports = {}
-    for index in rooms:
-        model, ap, episodes = (
-            arrays.get(f"{name}-{index}") for name in ("model", "ap", "episodes")
+    for index, ticks in zip(said["rooms"], said["ticks"], strict=True):
+        model, ap = (
+            _weights(index, name, arrays.get(f"{name}-{index}"), shape)
+            for name, shape in shapes[index].items()
         )
-        if model is None or model.shape != shape or model.dtype != np.float32:
-            raise ValueError(f"room {index} replied no float32 network of shape {shape}")
-        if ap is None or ap.ndim != 2 or ap.dtype != np.float32:
-            raise ValueError(f"room {index} replied no network of its access point")
-        if episodes is None or episodes.ndim != 2 or episodes.shape[1] != len(METRICS):
+        episodes = arrays.get(f"episodes-{index}")
+        columns = () if episodes is None else episodes.shape[1:]
+        if columns != (len(METRICS),) or episodes.dtype != np.float64:
             raise ValueError(f"room {index} replied no rows of its episodes")
-        reports[index] = RoomReport(model, ap, int(ticks[index]), episodes)
+        if not (isinstance(ticks, int) and ticks >= 0):
+            raise ValueError(f"room {index} replied {ticks} ticks")
+        reports[index] = RoomReport(model, ap, ticks, episodes)
     spent = float(cast(float, content.metric_records["metrics"]["cpu_s"]))
+    if not 0 <= spent < math.inf:
+        raise ValueError(f"a reply of {spent:g} s of processor time")
     return reports, Spent(spent, sum(array.nbytes for array in arrays.values()))
+
+
+def _weights(index: int, name: str, found: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """A room's weights.
+
+    Raises:
+        ValueError: they are missing, of another type or shape, or absurd.
+    """
+    whose = "its robots" if name == "model" else "its access point"
+    if found is None or found.shape != shape or found.dtype != np.float32:
+        raise ValueError(f"room {index} replied no float32 network of shape {shape} of {whose}")
+    if found.size and not (largest := magnitude(found)) <= WEIGHT_LIMIT:
+        raise ValueError(
+            f"room {index} replied absurd weights of {whose} ({largest:.3g}): finite ones of at"
+            f" most {WEIGHT_LIMIT:g} are taken"
+        )
+    weights: NDArray[np.float32] = found
+    return weights
 
 
 def _record(arrays: Mapping[str, Any]) -> ArrayRecord:

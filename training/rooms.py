@@ -60,7 +60,7 @@ class RoundTask:
     Attributes:
         number: the round's, from 1.
         model: the robots' network that all rooms start from, shape (2, P).
-        keep: whether rooms write checkpoints at its end.
+        keep: whether rooms write checkpoints at its end, or when ``RoomHost.keep`` says so.
         rooms: those that take part, in order.
         played: those of the building that have played before, and have a checkpoint somewhere;
             for whoever deals rooms to hosts, not sent to them.
@@ -88,6 +88,10 @@ class RoomHost(Protocol):
         Returns:
             The report of each room, by its index; rooms that could not be reached are missing.
         """
+        ...
+
+    def keep(self) -> None:
+        """Sees to it that each room has a checkpoint of the round that it last played."""
         ...
 
     def costs(self) -> Costs:

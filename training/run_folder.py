@@ -169,7 +169,8 @@ class RunFolder:
             whole: also what it had recorded, since it begins again.
         """
         stale = [self.progress_file, self.summary_file]
-        for path in stale + ([self.metrics_file, self.evaluations_file] if whole else []):
+        recorded = [self.metrics_file, self.evaluations_file, self.rooms_log_file]
+        for path in stale + (recorded if whole else []):
             path.unlink(missing_ok=True)
         if whole:
             shutil.rmtree(self.tensorboard, ignore_errors=True)

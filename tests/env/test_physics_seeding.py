@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from env.seeding import Stream, stream
+from env.seeding import Stream, derived_seed, stream
 
 GOLDEN = {
     Stream.DESTINATIONS: 0.5651317655614634,
@@ -19,6 +19,9 @@ GOLDEN = {
     Stream.RADIO_MAP: 0.2007793516394134,
     Stream.GATHERING: 0.3249280568689673,
     Stream.FLOOR: 0.3145263762534257,
+    Stream.ROOM: 0.05266094180087366,
+    Stream.HELD_OUT_ROOM: 0.4523926109233761,
+    Stream.PARTICIPATION: 0.16101842526937848,
 }
 
 
@@ -29,6 +32,11 @@ def test_a_stream_begins_with_the_same_draw_in_every_version(name):
 
 def test_a_robots_stream_begins_with_the_same_draw_in_every_version():
     assert stream(7, Stream.ROBOT, 3).random() == 0.46071851949991993
+
+
+def test_a_derived_seed_is_the_same_in_every_version_and_another_for_each_index():
+    assert derived_seed(7, Stream.ROOM, 3) == 2786884391
+    assert len({derived_seed(7, Stream.ROOM, index) for index in range(100)}) == 100
 
 
 def test_names_seeds_and_indices_give_streams_of_their_own():

@@ -15,7 +15,7 @@ PACKAGES = (
 OWNER = ROOT / "training" / "run_folder.py"
 FILES = (
     "config.yaml", "summary.json", "progress.json", "metrics.csv", "evaluations.csv",
-    "weights.safetensors", "flower.log",
+    "weights.safetensors", "flower.log", "rooms.json", "rooms.csv",
 )  # fmt: skip
 PLAIN = ("stop", "state", "figures", "tensorboard")
 """Names that are words, too: these are names only where a path is made of them."""
@@ -46,6 +46,14 @@ def test_a_run_has_ended_once_summary_and_weights_are_there(tmp_path: Path) -> N
     folder.summary_file.touch()
     assert not folder.has_ended
     folder.weights_file.touch()
+    assert folder.has_ended
+
+
+def test_a_building_has_ended_once_its_summary_is_there(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    folder.rooms_file.touch()
+    assert not folder.has_ended
+    folder.summary_file.touch()
     assert folder.has_ended
 
 

@@ -64,6 +64,7 @@ def check_files(folder: RunFolder, marks: Mapping[str, Any]) -> None:
     """
     _read_rows(folder.metrics_file, marks["episodes"])
     _read_rows(folder.evaluations_file, 2 * marks["evaluations"])
+    _read_rows(folder.rooms_log_file, marks.get("rooms", 0))
 
 
 def _read_rows(path: Path, count: int) -> list[dict[str, float]]:
