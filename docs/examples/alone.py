@@ -2,7 +2,7 @@
 
 Each robot drives the shortest way along which it adds most to the objective (5a) on average over
 where the others may be: planned, not learned, with the best phase and powers in every slot. What a
-robot could learn that sees its own state s_L alone is about that. Usage: alone.py [K].
+robot could learn that sees its own state s_L alone is about that. Usage: alone.py [K [SEED]].
 """
 
 import sys
@@ -12,12 +12,13 @@ import numpy as np
 from conf import compose
 from env.episode import EpisodeAccumulator
 from env.oracles import per_slot
-from env.oracles.trajectory import best_trajectory
+from experiments.reproduce.results.trace import planned
 from training.evaluation import Evaluator
 
 PLACEMENTS, STARTS = 24, 16
-robots = int(sys.argv[1]) if len(sys.argv) > 1 else 3
-config = compose([f"env.robots={robots}", "env.reward.credit=difference", "runtime=local"])
+robots, seed = (int(given) for given in (*sys.argv[1:], *("3", "0")[len(sys.argv) - 1 :]))
+task = [f"env.robots={robots}", f"seed={seed}", "env.reward.credit=difference"]
+config = compose([*task, "runtime=local"])
 evaluator = Evaluator(config, episodes=STARTS)
 world, generator = evaluator.world, np.random.default_rng(0)
 cells, everyone = len(world.next_cell), np.arange(robots)
@@ -59,18 +60,20 @@ def directions():
 
 
 def played(way):
-    """The mean (5a) over the held-out starts, of moves that `way` gives."""
+    """The measures of moves that `way` gives, means over the held-out starts."""
     world.reset(evaluator.starts)
     tally = EpisodeAccumulator(world)
     while world.driving.any():
         phase, level = served()
         tally.add(world.step(phase, way(), level))
-    return tally.measures().ee.mean()
+    return tally.measures().summary()
 
 
 moves = directions()
-plans = np.mean([best_trajectory(world, start).value for start in evaluator.starts])
+plans = planned(evaluator).measures.summary()
 rule = played(lambda: per_slot.shortest_directions(world))
 alone = played(lambda: moves[world.cell, everyone])
-print(f"K = {robots}: (5a) in % of the plans': {100 * alone / plans:.1f} by themselves,")
-print(f"{100 * rule / plans:.1f} on straight shortest ways")
+print(f"K = {robots}, seed {seed}, in % of the plans' (5a) and of their bit/J:")
+for name, found in (("by themselves", alone), ("on straight shortest ways", rule)):
+    shares = (100 * found[key] / plans[key] for key in ("ee", "ee_bits_per_joule"))
+    print(name, *(f"{share:.1f}" for share in shares))
