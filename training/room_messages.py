@@ -116,8 +116,8 @@ def read_reply(
             for name, shape in shapes[index].items()
         )
         episodes = arrays.get(f"episodes-{index}")
-        columns = () if episodes is None else episodes.shape[1:]
-        if columns != (len(METRICS),) or episodes.dtype != np.float64:
+        is_table = episodes is not None and episodes.shape[1:] == (len(METRICS),)
+        if episodes is None or not is_table or episodes.dtype != np.float64:
             raise ValueError(f"room {index} replied no rows of its episodes")
         if not (isinstance(ticks, int) and ticks >= 0):
             raise ValueError(f"room {index} replied {ticks} ticks")

@@ -21,13 +21,13 @@ from experiments.runtimes import local, on_flower
 from experiments.runtimes.folders import prepare_run, run_lock
 from experiments.runtimes.stopping import StopSignals
 from lockstep import LinkError
-from storage.checkpoint_files import checkpoints
+from storage.checkpoint_files import CheckpointError, checkpoints
 from storage.checkpoint_layout import server_folder
 from training import resume
 from training.checkpoint import Checkpoint
 from training.run_folder import RunFolder
 
-ERRORS = (ConfigError, PluginError, FlowerError, LinkError, OSError)
+ERRORS = (ConfigError, PluginError, FlowerError, LinkError, CheckpointError, OSError)
 """What ends a run with a sentence: a mistake, or a machine, disk or network that fails."""
 
 Runtime = Callable[[Config, RunFolder, Checkpoint | None], dict[str, Any]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,9 +107,7 @@ def test_a_room_ends_in_the_bits_of_a_run_of_its_own(config: Config, play: Any) 
     for windows in (1, 3, 2):
         report = room.play(windows, model, ap)
         model, ap = report.model, None
-    from conftest import changed
-
-    whole = play(changed(own, {"train.max_ticks": 30}))
+    whole = play(replace(own, train=replace(own.train, max_ticks=30)))
     assert np.array_equal(whole.robots[0], report.model)
 
 
