@@ -48,7 +48,9 @@ least and the largest of all seeds of the same configuration.
 
 - They were trained for one floor plan, one radio map and the destinations of their seed, which
   `{files.config_file.name}` names. Held-out means other starts, nothing more. For anything else,
-  train anew: that takes seconds to minutes.
+  train anew: that takes seconds to minutes. Weights of a building were trained on as many floors
+  as it has rooms ([buildings](../../docs/building.md)): `{files.config_file.name}` names a room
+  that is not among them, and their numbers are means over all rooms held out.
 - A greedy policy may step back and forth between two cells for ever; a few random moves free it.
 - The world is a model ([assumptions](../../docs/assumptions.md)): channels are simulated, and no
   real robot was driven with these weights, nor is one meant to be.
@@ -136,7 +138,8 @@ def _what(player: Player) -> str:
     config = player.run.config
     own = player.run.files.config_file.name
     how = f"`{' '.join(player.overrides)}`" if player.overrides else f"its `{own}`"
-    cells = player.name, config.env.robots, config.seed, player.run.summary["episodes"], how
+    summary = player.run.summary
+    cells = player.name, config.env.robots, summary["seed"], summary["episodes"], how
     return f"| {' | '.join(map(str, cells))} |"
 
 

@@ -17,15 +17,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from conf import ConfigError
+from conf import ConfigError, has_rooms
 from conf.schema import RunConfig
 from conf.user_paths import user_path
 from experiments.console.mishaps import in_words
 from experiments.reproduce.export import repeat
 from experiments.reproduce.export.card import Player, card
 from experiments.reproduce.results.output import Row
-from experiments.reproduce.results.runs import Run
-from experiments.reproduce.targets import optimality
+from experiments.reproduce.results.runs import HeldOutRoom, Run
+from experiments.reproduce.targets import building, optimality
 from experiments.reproduce.targets.fig3 import FEDERATED
 from experiments.reproduce.targets.plan import TARGETS
 from storage.atomic import write_atomically
@@ -37,6 +37,10 @@ WEIGHTS = {
         f"k{robots}-best": (optimality.TARGET.name, optimality.named(optimality.BEST, robots))
         for robots in optimality.ROBOTS
     },
+    f"building-{building.COUNTS[-1]}": (
+        building.TARGET.name,
+        building.ROOMS.format(building.COUNTS[-1]),
+    ),
 }
 """Folders of weights, and the targets and their cells whose first seed they are of."""
 
@@ -122,9 +126,12 @@ def _copied(manifest: Manifest, source: Path, results: Path) -> list[Path]:
 
 
 def _first_episodes(target: str, manifest: Manifest, source: Path) -> list[Row]:
-    """Those of F-DRL with two robots in Fig. 3, elsewhere of the cell that changes the most."""
+    """Those of the cell that is trained fastest in Fig. 3 and of buildings, elsewhere of the last.
+
+    The last one is that which changes the most.
+    """
     names = list(manifest["cells"])
-    name = names[0] if target == "fig3" else names[-1]
+    name = names[0] if target in ("fig3", "building") else names[-1]
     cell = manifest["cells"][name]
     run = Run(source / next(iter(cell["seeds"].values()))["folder"])
     return repeat.rows_of(target, name, cell["overrides"], run)
@@ -140,6 +147,8 @@ def _players(
         if cell in cells and name not in others:
             seeds = cells[cell]["seeds"].values()
             runs = [Run(source / seed["folder"]) for seed in seeds]
+            if has_rooms(runs[0].config):
+                runs = [HeldOutRoom.first(run) for run in runs]
             players.append(Player(name, cells[cell]["overrides"], runs[0], runs))
     for name, folder in others.items():
         run = Run(folder)

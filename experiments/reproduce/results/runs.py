@@ -13,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config
+from conf.rooms import room_name
+from storage.checkpoint_files import digest
+from training.recording.history import MEASURES
 from training.run_folder import RunFolder
 
 Columns = dict[str, NDArray[np.float64]]
@@ -67,6 +70,43 @@ class Run:
             ConfigError: they are missing or damaged.
         """
         return self.files.read_weights(self.config)
+
+
+@dataclass(frozen=True)
+class HeldOutRoom(Run):
+    """A held-out room of a building that has ended: its weights, and what they are worth there.
+
+    Attributes:
+        building: the run.
+    """
+
+    building: Run
+
+    @classmethod
+    def first(cls, building: Run) -> HeldOutRoom:
+        """The first held-out room of a building."""
+        return cls(building.files.room(room_name(0, held_out=True)).path, building)
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The building's, with the digests of this room's weights.
+
+        The evaluation is that of the final weights, a mean over all held-out rooms.
+        """
+        rows = _columns(self.building.files.rooms_log_file)
+        last = (rows["held_out"] == 1) & (rows["round"] == rows["round"].max())
+        kinds = {"eps05": last & (rows["epsilon"] > 0), "greedy": last & (rows["epsilon"] == 0)}
+        evaluation = {
+            kind: {name: float(np.nanmean(rows[name][chosen])) for name in MEASURES}
+            for kind, chosen in kinds.items()
+        }
+        robots, ap = self.files.read_networks(self.config)
+        digests = {"robots": digest(robots), "ap": digest(ap)}
+        return {**self.building.summary, "digest": digests, "evaluation": evaluation}
+
+    def evaluations(self) -> Columns:
+        """Those of the building while it was trained."""
+        return self.building.evaluations()
 
 
 Runs = Mapping[str, Mapping[int, Run]]
