@@ -112,6 +112,7 @@ def _play_rooms(message: Message, context: Context) -> Message:
         _keepers.clear()  # of an earlier run, where a process outlives one
         keeper = _keepers[str(state)] = RoomKeeper(config, state)
     rooms = [each.room.index for each in task.rooms]
+    keeper.keep_only({each.room.name for each in task.rooms})  # any process may play any room
     with log_lines(config.run.id, task.number, rooms, "room"):
         reports = keeper.play(task)
     content = replied(reports, time.process_time() - began)

@@ -7,7 +7,7 @@ all rooms share, plays some windows and hands its own on.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -163,6 +163,10 @@ class RoomKeeper:
                 self._save(self.state, name)
         return reports
 
+    def keep_only(self, names: Set[str]) -> None:
+        """Lets go of all other rooms, which live on in their checkpoints."""
+        self.rooms = {name: held for name, held in self.rooms.items() if name in names}
+
     def keep(self) -> None:
         """Writes a checkpoint of each room at hand that has none of the round it last played.
 
@@ -186,6 +190,8 @@ class RoomKeeper:
         room, played = self.rooms.get(name, (None, 0))
         if room is not None and played == asked.since:
             return room
+        del room
+        self.rooms.pop(name, None)  # or two of them would be held
         room = HostedRoom(asked.room.config(self.config))
         if asked.since:
             folder = room_folder(self.state or Path(), name)

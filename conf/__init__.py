@@ -21,6 +21,7 @@ from conf.schema import (
     StrategyConfig,
     flower_clients,
     has_rooms,
+    taking_part,
     waits_for_the_lost,
     windows_per_round,
 )
@@ -46,6 +47,7 @@ __all__ = [
     "robot_actions",
     "robot_network",
     "robots_learn",
+    "taking_part",
     "to_yaml",
     "version",
     "waits_for_the_lost",

@@ -79,6 +79,8 @@ def composed(overrides: Sequence[Override]) -> Config:
         for key in PATHS:
             if isinstance(path := OmegaConf.select(node, key), str):
                 OmegaConf.update(node, key, os.path.expanduser(path))
+        plans = [floor_plans.absolute(plan) for plan in node.rooms.plans]
+        OmegaConf.update(node, "rooms.plans", plans)  # hosts of rooms have other working folders
     except OmegaConfBaseException as error:
         raise ConfigError(f"{first_sentence(error)}.") from error
     return from_node(node)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from conf import strategy_checks
-from conf.schema import Config, RoomsConfig, has_rooms
+from conf.schema import Config, RoomsConfig, has_rooms, taking_part
 from env.config import MAX_ROBOTS
 from env.validate import Problem
 
@@ -43,7 +43,14 @@ def rules(config: Config) -> Iterator[Problem]:
         yield "rooms.robots", rooms.robots, f"a list of numbers from 1 to {MAX_ROBOTS}"
     if any(not isinstance(plan, str) for plan in rooms.plans):
         yield "rooms.plans", rooms.plans, "a list of names and paths of floor plans"
-    for key, value, say in strategy_checks.problems(rooms.strategy, rooms.count, "rooms.count"):
+    if rooms.strategy.name == "fedprox":
+        say = "any other across rooms: the proximal term is that of strategy, inside a room"
+        yield "rooms.strategy.name", "fedprox", say
+    if rooms.strategy.name == "krum" and on_loss == "miss":
+        yield "federation.on_loss", "miss", "wait or abort with Krum, which needs its full number"
+    count = taking_part(config)
+    counted = "rooms.count" if count == rooms.count else "rooms.fraction * rooms.count"
+    for key, value, say in strategy_checks.problems(rooms.strategy, count, counted):
         if key == "strategy.name" and value == "none":
             continue
         yield f"rooms.{key}", value, say

@@ -213,6 +213,11 @@ def has_rooms(config: Config) -> bool:
     return config.rooms.count > 1 or config.rooms.held_out > 0
 
 
+def taking_part(config: Config) -> int:
+    """Rooms that take part in a round of a building."""
+    return max(1, round(config.rooms.fraction * config.rooms.count))
+
+
 def waits_for_the_lost(config: Config) -> bool:
     """Whether the ServerApp itself waits for lost robots.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
 from flwr.app import Message, MessageType
@@ -16,7 +16,7 @@ from flwr.serverapp import Grid
 
 from conf import Config, fingerprint, flower_clients, weight_shapes
 from lockstep.errors import one_line
-from server_app.nodes import POLL_S, RoundError, held_by, wait_for_nodes
+from server_app.nodes import POLL_S, RoundError, held_by
 from training.building import BuildingRun
 from training.checkpoint import Checkpoint
 from training.partition import Block, partition_robots
@@ -33,6 +33,7 @@ MOST_FAILURES = 5
 SURVEY_S = 60.0
 PAUSE_S = 1.0
 """Between a round that all rooms have missed and the next try."""
+AWAY = "its Flower node is not there"
 DIED = "ActorDiedError"
 """What Flower's reason for a missing reply holds where one of Ray's processes was killed."""
 
@@ -51,6 +52,7 @@ class FlowerRooms:
         self._config, self._grid = config, grid
         self._rooms = partition_robots(config.rooms.count, flower_clients(config))
         self._places: dict[Block, int] = {}
+        self._missed: dict[Block, str] = {}
         self._fingerprint = fingerprint(config.env)
         self._costs: dict[Block, Costs] = dict.fromkeys(self._rooms, Costs())
 
@@ -71,6 +73,7 @@ class FlowerRooms:
             {
                 "rooms": list(block),
                 "connected": self._places.get(block) in online,
+                "missed": self._missed.get(block),
                 "flower_bytes": costs.flower_bytes,
                 "cpu_s": costs.client_cpu_s,
             }
@@ -85,22 +88,26 @@ class FlowerRooms:
             RoundError: a client fails again and again, or replies what it was not asked.
         """
         began = time.perf_counter()
-        for _ in range(MOST_FAILURES):
-            if reports := self._played(task):
-                log.info("round %d: %.1f s", task.number, time.perf_counter() - began)
-                return reports
-            timeout_s = self._config.federation.loss_timeout_s
-            wait_for_nodes(self._grid, 1, timeout_s)
+        patience_s = self._config.federation.loss_timeout_s
+        while not (reports := self._played(task)):
+            if time.perf_counter() - began > patience_s:
+                why = {reason for reason in self._missed.values() if reason}
+                if why == {AWAY} and list(self._grid.get_node_ids()):
+                    return {}  # others are there
+                raise RoomsLostError(
+                    f"round {task.number}: no room could be reached for {patience_s:g} s"
+                    f" ({'; '.join(sorted(why))})"
+                )
             time.sleep(PAUSE_S)
-        raise RoomsLostError(f"round {task.number}: no room could be reached {MOST_FAILURES} times")
+        log.info("round %d: %.1f s", task.number, time.perf_counter() - began)
+        return reports
 
     def _played(self, task: RoundTask) -> dict[int, RoomReport]:
         rounds = []
         for block in self._rooms:
             own = [each for each in task.rooms if each.room.index in block]
             if own:
-                played = task.played.intersection(block)
-                part = RoundTask(task.number, task.model, task.keep, own, played)
+                part = RoundTask(task.number, task.model, task.keep, own, task.played)
                 rounds.append(_ClientRound(self, block, part))
         reports: dict[int, RoomReport] = {}
         open_rounds = list(rounds)
@@ -113,6 +120,7 @@ class FlowerRooms:
                 time.sleep(POLL_S)
         for each in rounds:
             reports |= each.reports
+        self._missed = {each.block: "" if each.reports else each.reason for each in rounds}
         return reports
 
     def _deliver(self, rounds: Sequence[_ClientRound]) -> None:
@@ -126,7 +134,9 @@ class FlowerRooms:
 
         Args:
             block: the client's rooms.
-            played: those of them whose checkpoints must be on the node.
+            played: the rooms of the building that have played; where these are this client's,
+                their checkpoints must be on the node, and where they are not, they must not, or
+                one client would take the place of another.
         """
         online = set(self._grid.get_node_ids())
         if self._places.get(block) in online:
@@ -134,11 +144,19 @@ class FlowerRooms:
         free = sorted(online - set(self._places.values()))
         if played and free and self._config.runtime.connection is not None:
             held = held_by(self._grid, self._config, free, SURVEY_S)
-            free = [node for node in free if played <= held[node]]
+            own = played & set(block)
+            free = [node for node in free if own <= held[node]]
+            if not own:
+                free = [node for node in free if not held[node] & played] or self._spare(held)
         if free:
             self._places[block] = free[0]
             return free[0]
         return None
+
+    def _spare(self, held: Mapping[int, Set[int]]) -> list[int]:
+        """Nodes whose rooms all live elsewhere now."""
+        placed = {room for block in self._places for room in block}
+        return [node for node in sorted(held) if held[node] <= placed]
 
     def send(self, node: int, task: RoundTask, block: Block) -> str:
         """Asks a client; returns the message's name, empty where Flower does not take it."""
@@ -187,13 +205,16 @@ class _ClientRound:
         done: whether nothing more is to come of it.
         sent: the name of the message that is out, empty if none is.
         reports: of its rooms, once it is done; none where they miss the round.
+        block: the client's rooms.
+        reason: what last went wrong.
     """
 
     def __init__(self, host: FlowerRooms, block: Block, task: RoundTask) -> None:
-        self._host, self._block, self._task = host, block, task
+        self._host, self.block, self._task = host, block, task
         self._config = host._config
         self.done, self.sent = False, ""
         self.reports: dict[int, RoomReport] = {}
+        self.reason = AWAY
         self._failures = 0
         self._lost_at: float | None = None
         self._looked = 0.0
@@ -202,7 +223,7 @@ class _ClientRound:
         """Takes the reply to the message that is out."""
         self.sent = ""
         if not reply.has_error():
-            self.reports, self.done = self._host.read(reply, self._task, self._block), True
+            self.reports, self.done = self._host.read(reply, self._task, self.block), True
             return
         reason = one_line(str(reply.error.reason))
         if self._config.runtime.name == "simulation" and DIED in reason:
@@ -211,6 +232,7 @@ class _ClientRound:
         if self._failures > MOST_FAILURES or self._config.federation.on_loss == "abort":
             raise RoundError(f"{self._named()} failed: {reason}")
         log.warning("%s failed: %s", self._named(), reason)
+        self.reason = reason
         self._lose()
 
     def tend(self) -> None:
@@ -218,14 +240,14 @@ class _ClientRound:
         if self.done or (self.sent and time.monotonic() - self._looked < 1.0):
             return
         self._looked = time.monotonic()
-        if self.sent and not self._host.is_online(self._block):
+        if self.sent and not self._host.is_online(self.block):
             self.sent = ""
             self._lose()
         if self.done or self.sent:
             return
-        node = self._host.node_for(self._block, self._task.played)
+        node = self._host.node_for(self.block, self._task.played)
         if node is not None:
-            self.sent = self._host.send(node, self._task, self._block)
+            self.sent = self._host.send(node, self._task, self.block)
         if self.sent:
             self._lost_at = None
         else:
@@ -249,7 +271,7 @@ class _ClientRound:
         time.sleep(POLL_S)
 
     def _named(self) -> str:
-        first, last = self._block[0], self._block[-1]
+        first, last = self.block[0], self.block[-1]
         rooms = f"room {first}" if first == last else f"rooms {first} to {last}"
         return f"round {self._task.number}: the Flower client of {rooms}"
 

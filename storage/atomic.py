@@ -14,7 +14,7 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         OSError: it cannot be written; nothing of it is left, and the message names the file.
     """
-    _put(path, path.with_suffix(".writing"), content, durable=True)
+    _put(path, path.with_suffix(f".{os.getpid()}.writing"), content, durable=True)
     with naming(path):
         _flush_folder(path.parent)
 

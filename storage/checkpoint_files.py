@@ -71,7 +71,7 @@ def save_checkpoint(
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(path, content)
     for old in [s for s in checkpoints(folder) if s <= step][:-KEPT]:
-        _path(folder, old).unlink()
+        _path(folder, old).unlink(missing_ok=True)
     return path
 
 
@@ -88,7 +88,7 @@ def drop_between(folder: Path, after: int, before: int) -> None:
     """
     for step in checkpoints(folder):
         if after < step < before:
-            _path(folder, step).unlink()
+            _path(folder, step).unlink(missing_ok=True)
 
 
 class Writer:

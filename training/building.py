@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import NetworkShape, single_threaded
-from conf import Config, ConfigError, ap_network, fingerprint, robot_network
+from conf import Config, ConfigError, ap_network, fingerprint, robot_network, taking_part
 from conf.rooms import Room, from_json, rooms_of, to_json
 from env.seeding import Stream, stream
 from env.texts import read_text
@@ -135,7 +135,7 @@ class BuildingRun:
 
     def _drawn(self, number: int) -> Sequence[Room]:
         """The rooms that take part in a round, in order."""
-        count = max(1, round(self._config.rooms.fraction * len(self.rooms)))
+        count = taking_part(self._config)
         if count == len(self.rooms):
             return self.rooms
         generator = stream(self._config.seed, Stream.PARTICIPATION, number)

@@ -16,8 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from conf.rooms import room_name
 from storage.checkpoint_files import CheckpointError, Writer, checkpoints, load_checkpoint
-from storage.checkpoint_layout import owner, robot_owner, robot_windows, server_folder
+from storage.checkpoint_layout import (
+    owner,
+    robot_owner,
+    robot_windows,
+    room_folder,
+    room_owner,
+    server_folder,
+)
 
 log = logging.getLogger(__name__)
 State = Mapping[str, NDArray[Any]]
@@ -57,13 +65,14 @@ def save_server(
     writer.save(server_folder(state), window, arrays, meta)
 
 
-def latest(state: Path, robots: int, run: str | None = None) -> Checkpoint:
-    """The newest checkpoint that the server and every robot have, whole and unchanged.
+def latest(state: Path, robots: int, run: str | None = None, *, rooms: bool = False) -> Checkpoint:
+    """The newest checkpoint that the server and every robot or room have, whole and unchanged.
 
     Args:
         state: the run's folder of checkpoints.
         robots: K; 0 where their checkpoints lie on other machines.
         run: the run's identity; None takes any.
+        rooms: whether the rooms of a building have theirs here, too.
 
     Raises:
         CheckpointError: there is none; the message says what is wrong with the newest one.
@@ -77,11 +86,25 @@ def latest(state: Path, robots: int, run: str | None = None) -> Checkpoint:
             for robot, place in enumerate(places):
                 load_checkpoint(place[window], window, robot_owner(run, robot))
             arrays, meta = load_checkpoint(server_folder(state), window, owner(run))
+            if rooms:
+                _check_rooms(state, arrays["run/played"], run)
         except CheckpointError as error:
             trouble.append(error)
         else:
             return Checkpoint(window, arrays, meta, tuple(map(str, trouble)))
     raise trouble[0] if trouble else CheckpointError(f"{state} holds no checkpoint that {whom}")
+
+
+def _check_rooms(state: Path, played: NDArray[Any], run: str | None) -> None:
+    """Reads the checkpoint of the round that each room has last played.
+
+    Raises:
+        CheckpointError: one is missing or damaged.
+    """
+    for index, number in enumerate(played.tolist()):
+        if number:
+            name = room_name(index)
+            load_checkpoint(room_folder(state, name), number, room_owner(run, name))
 
 
 def newest(state: Path, windows: Iterable[int], run: str | None = None) -> Checkpoint | None:

@@ -150,7 +150,9 @@ def _checkpoint(folder: RunFolder, config: Config) -> Checkpoint:
         ConfigError: it is another version's.
     """
     elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
-    checkpoint = latest(folder.state, 0 if elsewhere else kept_robots(config), config.run.id)
+    robots = 0 if elsewhere else kept_robots(config)
+    rooms = has_rooms(config) and config.runtime.connection is None
+    checkpoint = latest(folder.state, robots, config.run.id, rooms=rooms)
     check_files(folder, checkpoint.meta["marks"])
     if checkpoint.meta["fingerprint"] != fingerprint(config.env):
         raise ConfigError(

@@ -65,6 +65,13 @@ def find(name: str) -> Path | int:
     raise ValueError(f"env.plan={name}: allowed is {allowed}")
 
 
+def absolute(name: Any) -> Any:
+    """The name of a plan, whatever the working folder: of a file its whole path."""
+    known = not isinstance(name, str) or name in built_in() or name.partition(":")[0] == RANDOM
+    path = None if known else Path(name).expanduser()
+    return str(path.absolute()) if path is not None and path.is_file() else name
+
+
 def read(name: str) -> dict[str, Any]:
     """What a plan sets: fields of ``EnvConfig``, nested; types and values are not checked here.
 

@@ -33,7 +33,8 @@ def _federation(status: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if "rooms" in client:
             first, last = client["rooms"][0], client["rooms"][-1]
             name = f"room {first}" if first == last else f"rooms {first} to {last}"
-            yield name, f"{there}, {client['flower_bytes'] / 1e6:.1f} MB in messages"
+            missed = f", missed the last round: {client['missed']}" if client.get("missed") else ""
+            yield name, f"{there}, {client['flower_bytes'] / 1e6:.1f} MB in messages{missed}"
             continue
         robots = ", ".join(map(str, client["robots"]))
         sent = client["bytes_sent"] + client["bytes_received"]

@@ -8,7 +8,7 @@ import time
 from contextlib import suppress
 from typing import Any, Protocol, Self
 
-from conf import Config, flower_clients, to_yaml
+from conf import Config, flower_clients, has_rooms, to_yaml
 from experiments.flower import (
     Connection,
     Federation,
@@ -125,7 +125,8 @@ def _run_with_restarts(config: Config, folder: RunFolder, resumed: Checkpoint | 
 def _last(config: Config, folder: RunFolder) -> Checkpoint | None:
     """Where a run goes on that was cut off; None if it must begin again."""
     try:
-        return latest(folder.state, kept_robots(config), config.run.id)
+        rooms = has_rooms(config)
+        return latest(folder.state, kept_robots(config), config.run.id, rooms=rooms)
     except CheckpointError:
         folder.metrics_file.unlink(missing_ok=True)  # or it would not be taken for a new run
         return None

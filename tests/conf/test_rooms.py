@@ -238,6 +238,14 @@ def test_text_that_is_of_no_rooms_is_refused(text: str) -> None:
 # --- What is allowed ------------------------------------------------------------------------------
 
 MISTAKES = [
+    (
+        ["rooms.count=5", "rooms.strategy.name=krum", "rooms.fraction=0.4"],
+        "rooms.strategy.name=krum: allowed is rooms.fraction * rooms.count of at least 3, not 2",
+    ),
+    (
+        ["rooms.count=2", "rooms.strategy.name=fedprox", "rooms.strategy.proximal_mu=0.1"],
+        "rooms.strategy.name=fedprox: allowed is any other across rooms",
+    ),
     (["rooms.count=0"], "rooms.count=0: allowed is a number from 1 to 10000."),
     (["rooms.count=2", "rooms.every=0"], "rooms.every=0: allowed is a number from 1 to"),
     (["rooms.count=2", "rooms.fraction=0"], "rooms.fraction=0.0: allowed is"),
@@ -382,3 +390,14 @@ def test_access_points_of_rooms_with_other_numbers_of_robots_share_no_network(
     assert refused(*unequal, mean).startswith("rooms.access_points=mean: allowed is own, where")
     assert len(rooms_of(building(*unequal))) == 4
     assert len(rooms_of(building(*unequal, mean, "scheme.phase=fixed"))) == 4
+
+
+def test_a_plans_file_is_named_by_its_whole_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.toml").write_text("[walls]\nblock_motion = true\n")
+    monkeypatch.chdir(tmp_path)
+    config = compose(["rooms.count=2", "rooms.plans=[mine.toml,hall,random]"])
+    assert config.rooms.plans == [str(tmp_path / "mine.toml"), "hall", "random"]
+    monkeypatch.chdir("/")
+    assert len(rooms_of(config)) == 2

@@ -17,7 +17,7 @@ from client_app import app as client
 from conf import Config
 from experiments.runtimes import local
 from server_app import buildings
-from server_app.buildings import MOST_FAILURES, train_building
+from server_app.buildings import MOST_FAILURES, FlowerRooms, train_building
 from server_app.nodes import RoundError
 from storage.checkpoint_layout import node_folder, room_folder
 from training.checkpoint import latest
@@ -143,7 +143,7 @@ def test_clients_without_rooms_in_a_round_are_not_asked(
     config = deployed({"rooms.fraction": 0.34, "train.max_ticks": 60})
     nodes = grid(2)
     assert run(config, nodes)["digest"] == digests(config)
-    assert len(nodes.sent) == 6
+    assert len([m for m in nodes.sent if ROOMS in m.content.config_records]) == 6
 
 
 @pytest.mark.parametrize("when", [None, "after"])
@@ -258,9 +258,36 @@ def test_a_round_that_all_rooms_miss_is_played_again(
 
 
 def test_with_miss_a_run_that_nobody_plays_ends(deployed: Building, grid: Any) -> None:
+    config = deployed({"federation.on_loss": "miss", "federation.loss_timeout_s": 0.2})
+    say = r"round 2: no room could be reached for 0.2 s \(MemoryError: none is left\)"
+    with pytest.raises(RoomsLostError, match=say):
+        run(config, grid(2, {0: failing({2: 10**6}), 1: failing({2: 10**6})}))
+
+
+def test_a_round_is_missed_by_all_where_only_other_rooms_sites_are_there(
+    deployed: Building, grid: Any
+) -> None:
+    """One room takes part in a round, and one site of two is there."""
+    quick = {"federation.on_loss": "miss", "federation.loss_timeout_s": 0.2}
+    config = deployed({**quick, "rooms.fraction": 0.34, "train.max_ticks": 60})
+    told = run(config, grid(1))
+    assert told["ticks"] == 60
+    assert 0 < sum(told["rooms"]["ticks"]) < 60
+
+
+def test_rooms_that_have_not_played_take_no_other_clients_node(
+    deployed: Building, grid: Any
+) -> None:
     config = deployed({"federation.on_loss": "miss"})
-    with pytest.raises(RoomsLostError, match="round 2: no room could be reached"):
-        run(config, grid(2, {0: failing({2: 99}), 1: failing({2: 99})}))
+    failing_node = failing(dict.fromkeys(range(1, 9), 10**6))
+    told = run(config, grid(2, {0: failing_node}))
+    assert told["rooms"]["ticks"] == [0, 0, 30]
+    host = FlowerRooms(config, cast(Grid, nodes := grid(2)))
+    nodes.nodes = [101]
+    assert host.node_for((0, 1), frozenset({2})) is None
+    assert host.node_for((2,), frozenset({2})) == 101
+    nodes.nodes = [100, 101]
+    assert host.node_for((0, 1), frozenset({2})) == 100
 
 
 # --- What ends a run ------------------------------------------------------------------------------

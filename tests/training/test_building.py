@@ -447,6 +447,28 @@ def test_the_command_goes_on_with_a_building(
     assert "Traceback" not in said
 
 
+def test_a_damaged_checkpoint_of_a_room_is_passed_over(
+    building_overrides: tuple[str, ...], tmp_path: Path, capsys: Any
+) -> None:
+    folders = [tmp_path / name for name in ("whole", "damaged")]
+    for folder in folders:
+        short = ("state.every=2", "train.max_ticks=30", f"run.dir={folder}")
+        own = [key for key in building_overrides if key.split("=")[0] not in _keys(short)]
+        assert main(["train", *own, *short]) == 0
+    newest = sorted(room_folder(folders[1] / "state", "0001").iterdir())[-1]
+    newest.write_bytes(newest.read_bytes()[:-5])
+    capsys.readouterr()
+    for folder in folders:
+        assert main(["train", f"resume={folder}", "train.max_ticks=60"]) == 0
+    assert newest.name in capsys.readouterr().out
+    assert summary(folders[0])["digest"] == summary(folders[1])["digest"]
+    assert records(folders[0]) == records(folders[1])
+
+
+def _keys(overrides: tuple[str, ...]) -> set[str]:
+    return {item.split("=")[0] for item in overrides}
+
+
 def test_records_that_are_shorter_than_the_checkpoint_says_are_found(
     build: Any, tmp_path: Path, capsys: Any
 ) -> None:
