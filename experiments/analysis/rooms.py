@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from agent import single_threaded
 from client_app.rooms import HostedRoom
 from conf import Config, ConfigError
 from conf.rooms import Room
@@ -98,6 +99,7 @@ def adapted(config: Config, robots: Weights, ap: Weights, ticks: int) -> tuple[W
     epsilon = replace(agent.epsilon, start=agent.epsilon.end)
     rate = agent.learning_rate if agent.learning_rate_end is None else agent.learning_rate_end
     calm = replace(agent, epsilon=epsilon, learning_rate=rate, learning_rate_end=None)
+    single_threaded()
     report = HostedRoom(replace(config, agent=calm)).play(
         -(-ticks // config.federation.every), robots, ap
     )
