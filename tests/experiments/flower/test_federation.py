@@ -295,7 +295,7 @@ def persevere(
     def make(attempts: Attempts, windows: list[int], on_loss: str = "wait") -> None:
         left = list(windows)
 
-        def latest(state: Path, robots: int, run: str | None) -> Point:
+        def latest(state: Path, robots: int, run: str | None, *, rooms: bool) -> Point:
             window = left.pop(0)
             if not window:
                 raise CheckpointError("none")
