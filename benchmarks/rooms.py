@@ -6,7 +6,7 @@ import numpy as np
 import psutil  # type: ignore[import-untyped]
 
 from agent import single_threaded
-from benchmarks.result import Result, Seconds, take_turns
+from benchmarks.result import Result, micro, take_turns
 from client_app.rooms import HostedRoom
 from conf import compose
 from conf.rooms import rooms_of
@@ -39,23 +39,16 @@ def rooms(*, quick: bool = False) -> list[Result]:
     taken = take_turns(
         {str(count): lambda n, count=count: play(count, n) for count in counts}, windows, blocks
     )
-    alone = taken["1"]
+    alone, ticks = taken["1"], config.federation.every
     results = [
         Result.over(
             f"robot_in_rooms_{count}",
             taken[str(count)] / count / alone,
             "ratio",
             COST.format(count),
-            details={
-                "us_per_robot_tick": _micro(taken[str(count)], config.federation.every, count)
-            },
+            details={"us_per_robot_tick": micro(taken[str(count)]) / (ticks * count * ROBOTS)},
         )
         for count in counts[1:]
     ]
     each = np.array([added / len(hosted) / 1e6])
     return [*results, Result.over("room_mb", each, "MB", MEMORY.format(len(hosted)))]
-
-
-def _micro(per_window: Seconds, ticks: int, count: int) -> float:
-    """Microseconds of a robot's tick, the median over blocks."""
-    return float(np.median(per_window)) * 1e6 / (ticks * count * ROBOTS)

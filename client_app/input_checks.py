@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.networks.limits import WEIGHT_LIMIT, magnitude
+from agent.networks.limits import check_weights
 
 RATE_LIMIT = 1024.0
 """In bit/s/Hz: log2 of no float64 is larger."""
@@ -102,9 +102,4 @@ def check_model(window: int, weights: NDArray[np.float32]) -> None:
         ValueError: a weight is not finite or beyond ``WEIGHT_LIMIT``; the message names window and
             value.
     """
-    largest = magnitude(weights)
-    if not largest <= WEIGHT_LIMIT:
-        raise ValueError(
-            f"window {window}: the global model holds absurd weights ({largest:.3g}): finite ones"
-            f" of at most {WEIGHT_LIMIT:g} are taken"
-        )
+    check_weights(weights, f"window {window}: the global model holds absurd weights")

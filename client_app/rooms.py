@@ -154,8 +154,7 @@ class RoomKeeper:
         """
         reports = {}
         for asked in task.rooms:
-            room, name = self._at_hand(asked), asked.room.name
-            self.rooms.pop(name, None)  # half a round in it, if an error ends the other half
+            room, name = self._taken(asked), asked.room.name
             reports[asked.room.index] = room.play(self.config.rooms.every, task.model, asked.ap)
             self.rooms[name] = (room, task.number)
             if task.keep and self.state is not None:
@@ -184,14 +183,16 @@ class RoomKeeper:
         save_checkpoint(room_folder(state, name), played, room.state(), owner)
         self.kept[name] = played
 
-    def _at_hand(self, asked: RoomTask) -> HostedRoom:
-        """The room as it was after the round that it goes on from."""
+    def _taken(self, asked: RoomTask) -> HostedRoom:
+        """The room as it was after the round that it goes on from, taken out of ``rooms``.
+
+        There it would be half a round ahead if an error ended the other half.
+        """
         name = asked.room.name
-        room, played = self.rooms.get(name, (None, 0))
-        if room is not None and played == asked.since:
-            return room
-        del room
-        self.rooms.pop(name, None)  # or two of them would be held
+        held = self.rooms.pop(name, None)
+        if held is not None and held[1] == asked.since:
+            return held[0]
+        held = None  # or two of them would be in memory
         room = HostedRoom(asked.room.config(self.config))
         if asked.since:
             folder = room_folder(self.state or Path(), name)

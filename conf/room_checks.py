@@ -51,8 +51,6 @@ def rules(config: Config) -> Iterator[Problem]:
     count = taking_part(config)
     counted = "rooms.count" if count == rooms.count else "rooms.fraction * rooms.count"
     for key, value, say in strategy_checks.problems(rooms.strategy, count, counted):
-        if key == "strategy.name" and value == "none":
-            continue
         yield f"rooms.{key}", value, say
     if rooms.strategy.name == "none":
         yield "rooms.strategy.name", "none", "any other: rooms that share nothing are runs"

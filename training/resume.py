@@ -13,6 +13,7 @@ from conf import (
     ConfigError,
     fingerprint,
     flower_clients,
+    from_yaml,
     has_rooms,
     overridden,
     robots_learn,
@@ -23,7 +24,7 @@ from conf.user_paths import RESUME, pasted, resumed_folder
 from env.texts import read_text
 from storage.checkpoint_files import CheckpointError
 from training.checkpoint import Checkpoint, latest
-from training.preflight import check, checked_yaml
+from training.preflight import check
 from training.recording.csv_log import check_files
 from training.run_folder import RunFolder
 
@@ -190,7 +191,7 @@ def _folder(overrides: Sequence[str]) -> RunFolder:
 def _config(folder: RunFolder, overrides: Sequence[str]) -> Config:
     """The run's own configuration, with what is set anew."""
     try:
-        config = checked_yaml(read_text(folder.config_file))
+        config = from_yaml(read_text(folder.config_file))
     except (OSError, UnicodeError) as error:
         name = folder.config_file.name
         raise ConfigError(f"resume={folder}: {name} cannot be read: {error}.") from error

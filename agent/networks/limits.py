@@ -16,6 +16,22 @@ and learning rates with which nothing is learned.
 """
 
 
+def check_weights(weights: NDArray[np.float32], said: str) -> None:
+    """Refuses absurd weights.
+
+    Args:
+        weights: of any shape, not empty.
+        said: how the message begins, such as "the global model holds absurd weights".
+
+    Raises:
+        ValueError: a weight is not finite or beyond ``WEIGHT_LIMIT``; the message has the value.
+    """
+    if not (largest := magnitude(weights)) <= WEIGHT_LIMIT:
+        raise ValueError(
+            f"{said} ({largest:.3g}): finite ones of at most {WEIGHT_LIMIT:g} are taken"
+        )
+
+
 def magnitude(weights: NDArray[np.float32]) -> float:
     """The largest magnitude in an array, nan if there is one in it; makes no copy of the array."""
     return float(np.maximum(weights.max(), -weights.min()))

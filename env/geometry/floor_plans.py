@@ -67,9 +67,11 @@ def find(name: str) -> Path | int:
 
 def absolute(name: Any) -> Any:
     """The name of a plan, whatever the working folder: of a file its whole path."""
-    known = not isinstance(name, str) or name in built_in() or name.partition(":")[0] == RANDOM
-    path = None if known else Path(name).expanduser()
-    return str(path.absolute()) if path is not None and path.is_file() else name
+    try:
+        found = find(name) if isinstance(name, str) and name not in built_in() else None
+    except ValueError:
+        return name
+    return str(found.absolute()) if isinstance(found, Path) else name
 
 
 def read(name: str) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from agent import single_threaded
 from client_app.rooms import HostedRoom
 from conf import Config, ConfigError
-from conf.rooms import Room
 from training.building import known_rooms
 from training.evaluation import Evaluator
 from training.recording.history import MEASURES, mean
@@ -46,16 +45,11 @@ def columns(
     rooms = known_rooms(config, folder)
     found: dict[str, list[Measures]] = {}
     for room in rooms:
-        place = folder.room(room.name)
-        own = place.read_config()
         kind = "held out" if room.held_out else "trained in"
-        robots, ap = place.read_networks(own)
-        played = [(kind, robots[0, 0], ap[0])]
-        if personalise:
-            learned = adapted(own, robots[0], ap, personalise)
-            played.append((f"{kind}, personalised", *learned))
-        evaluator = Evaluator(own, episodes=episodes, starts_seed=starts_seed)
-        for name, model, own_ap in played:
+        config, policies = of_room(folder.room(room.name), personalise)
+        evaluator = Evaluator(config, episodes=episodes, starts_seed=starts_seed)
+        for end, (model, own_ap) in zip(("", ", personalised"), policies, strict=False):
+            name = f"{kind}{end}"
             for epsilon, measures in _each(evaluator, model, own_ap, epsilons):
                 title = f"{name}, eps = {epsilon:g}" if len(epsilons) > 1 else name
                 found.setdefault(title, []).append(measures)
@@ -65,20 +59,22 @@ def columns(
     }
 
 
-def personalised(folder: RunFolder, room: Room, ticks: int) -> Measures:
-    """What a room's weights are worth, greedily, once it has learned on by itself.
+def of_room(place: RunFolder, personalise: int) -> tuple[Config, list[tuple[Weights, Weights]]]:
+    """A room's configuration, and its policies: the final weights, and personalised ones.
 
     Args:
-        folder: of the building's run.
-        room: one of its rooms.
-        ticks: see ``adapted``.
+        place: the room's folder.
+        personalise: see ``columns``.
+
+    Returns:
+        The policies' online networks, shapes (P,) and (P_AP,).
     """
-    place = folder.room(room.name)
     config = place.read_config()
     robots, ap = place.read_networks(config)
-    model, own_ap = adapted(config, robots[0], ap, ticks)
-    (measures,) = Evaluator(config).play(model[None], own_ap, (0.0,))
-    return measures.summary()
+    policies = [(robots[0, 0], ap[0])]
+    if personalise:
+        policies.append(adapted(config, robots[0], ap, personalise))
+    return config, policies
 
 
 def adapted(config: Config, robots: Weights, ap: Weights, ticks: int) -> tuple[Weights, Weights]:

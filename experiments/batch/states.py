@@ -74,9 +74,10 @@ def _is_done(config: Config) -> bool:
         whole = not summary["stopped_early"] and summary["fingerprint"] == fingerprint(config.env)
         if not whole or not resume.same(folder.read_config(), config):
             return False
-        for room in known_rooms(config, folder) if has_rooms(config) else ():
-            folder.room(room.name).read_weights(room.config(config))
-        if not has_rooms(config):
+        if has_rooms(config):
+            for room in known_rooms(config, folder):
+                folder.room(room.name).read_weights(room.config(config))
+        else:
             folder.read_weights(config)
     except (LookupError, TypeError, ValueError, OSError):
         return False

@@ -108,6 +108,23 @@ def start(overrides: Sequence[str], place: Path) -> subprocess.Popen[str]:
     )
 
 
+@contextmanager
+def commands(place: Path) -> Iterator[Callable[[Sequence[str]], subprocess.Popen[str]]]:
+    """``start``, whose processes are killed in the end."""
+    started: list[subprocess.Popen[str]] = []
+
+    def make(overrides: Sequence[str]) -> subprocess.Popen[str]:
+        started.append(start(overrides, place))
+        return started[-1]
+
+    try:
+        yield make
+    finally:
+        for process in started:
+            process.kill()
+            process.communicate()
+
+
 def state_of(folder: Path) -> str:
     """What a run says of itself; empty before it has begun."""
     try:

@@ -12,9 +12,9 @@ import pytest
 from flower_helpers import (
     PATIENCE_S,
     OwnFederation,
+    commands,
     digests_in_one_process,
     own_federation,
-    start,
     summary,
     wait_until,
     with_changes,
@@ -86,19 +86,11 @@ def federation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[OwnF
 @pytest.fixture
 def begin(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Starts a building on the federation, as a process."""
-    started: list[subprocess.Popen[str]] = []
-
-    def make(folder: Path, *changes: str) -> subprocess.Popen[str]:
-        where = ("runtime=deployment", f"runtime.connection={CONNECTION}", "federation.clients=2")
-        given = with_changes(ROOMS, *where, *changes, f"run.dir={folder}")
-        process = start(given, tmp_path)
-        started.append(process)
-        return process
-
-    yield make
-    for process in started:
-        process.kill()
-        process.communicate()
+    where = ("runtime=deployment", f"runtime.connection={CONNECTION}", "federation.clients=2")
+    with commands(tmp_path) as run:
+        yield lambda folder, *changes: run(
+            with_changes(ROOMS, *where, *changes, f"run.dir={folder}")
+        )
 
 
 def test_a_site_that_is_killed_is_waited_for_and_the_bits_stay(

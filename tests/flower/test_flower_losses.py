@@ -14,10 +14,10 @@ import disks
 import pytest
 from flower_helpers import (
     PATIENCE_S,
+    commands,
     digests_in_one_process,
     marker_below,
     own_federation,
-    start,
     state_of,
     summary,
     wait_until,
@@ -61,19 +61,14 @@ def begun(
     tmp_path: Path, tiny_overrides: Sequence[str]
 ) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Starts a run as a process and waits for its second checkpoint."""
-    started: list[subprocess.Popen[str]] = []
+    with commands(tmp_path) as run:
 
-    def make(folder: Path, *changes: str) -> subprocess.Popen[str]:
-        given = with_changes(tiny_overrides, *TASK, *changes, f"run.dir={folder}")
-        process = start(given, tmp_path)
-        started.append(process)
-        wait_until(lambda: len(checkpoints(server_folder(folder / "state"))) > 1, process)
-        return process
+        def make(folder: Path, *changes: str) -> subprocess.Popen[str]:
+            process = run(with_changes(tiny_overrides, *TASK, *changes, f"run.dir={folder}"))
+            wait_until(lambda: len(checkpoints(server_folder(folder / "state"))) > 1, process)
+            return process
 
-    yield make
-    for process in started:
-        process.kill()
-        process.communicate()
+        yield make
 
 
 # --- A process ------------------------------------------------------------------------------------

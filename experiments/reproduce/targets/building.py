@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from conf import Config, ap_network, robot_network
 from conf.rooms import Room
 from experiments.analysis.optimality_gap import shortest_best_measures
-from experiments.analysis.rooms import personalised
+from experiments.analysis.rooms import of_room
 from experiments.reproduce.results.output import (
     QUICK,
     Row,
@@ -177,46 +177,37 @@ def outcome(name: str, run: Run) -> BuildingOutcome:
     rooms = known_rooms(config, run.files)
     held_out = [room for room in rooms if room.held_out]
     trained = [room for room in rooms if not room.held_out][:HELD_OUT]
-    rules = {
-        room.name: shortest_best_measures(Evaluator(room.config(config))).summary()["ee"]
-        for room in (*held_out, *trained)
-    }
-    scores = {
-        "held out": [_greedy(run, room) for room in held_out],
-        "trained": [_greedy(run, room) for room in trained],
-        "adapted": [personalised(run.files, room, ADAPTED) for room in held_out],
-    }
-    success = {kind: mean([each["success"] for each in some]) for kind, some in scores.items()}
-    share = {
-        kind: mean(
-            [
-                each["ee"] / rules[room.name]
-                for each, room in zip(some, trained if kind == "trained" else held_out, strict=True)
-            ]
-        )
-        for kind, some in scores.items()
-    }
+    unseen = [_greedy(run, room, ADAPTED) for room in held_out]
+    seen = [_greedy(run, room, 0) for room in trained]
     return BuildingOutcome(
         name,
         run.seed,
-        success["held out"],
-        share["held out"],
-        success["adapted"],
-        share["adapted"],
-        success["trained"],
-        share["trained"],
+        *_means([first for first, _ in unseen]),
+        *_means([adapted for _, adapted in unseen]),
+        *_means([first for (first,) in seen]),
         config.train.worlds * sum(run.summary["rooms"]["ticks"]),
         _megabytes(config, trained[0], run.summary["rooms"]["ticks"]),
         run.summary["cpu_s"],
     )
 
 
-def _greedy(run: Run, room: Room) -> dict[str, float]:
-    """What a room's final weights are worth in it."""
-    place = run.files.room(room.name)
-    config = place.read_config()
-    (measures,) = Evaluator(config).play(*place.read_weights(config), (0.0,))
-    return measures.summary()
+def _means(scores: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Of success and of EE, rooms counted alike."""
+    success, share = zip(*scores, strict=True)
+    return mean([*success]), mean([*share])
+
+
+def _greedy(run: Run, room: Room, ticks: int) -> list[tuple[float, float]]:
+    """Success, and EE as a share of the rule's, of each of a room's policies (``of_room``)."""
+    config, policies = of_room(run.files.room(room.name), ticks)
+    evaluator = Evaluator(config)
+    rule = shortest_best_measures(evaluator).summary()["ee"]
+    scores = []
+    for model, ap in policies:
+        (measures,) = evaluator.play(model[None], ap, (0.0,))
+        found = measures.summary()
+        scores.append((found["success"], found["ee"] / rule))
+    return scores
 
 
 def _megabytes(config: Config, room: Room, ticks: Sequence[int]) -> float:
