@@ -22,7 +22,7 @@ BENCHMARKS = {
     "env_step": "world_",
     "parts": "part_",
     "scaling": "steps_per_s_ updates_vs_",
-    "rooms": "robot_in_rooms_ room_mb",
+    "rooms": "robot_in_rooms_ room_mb rooms_abreast_",
     "central": "centralized_ branching_",
     "deployment": "link_share lockstep_efficiency lockstep_cpu_vs_free waiting_share",
     "lockstep": "lockstep_bound_ lockstep_of_bound_",
