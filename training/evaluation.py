@@ -53,7 +53,6 @@ class Evaluator:
         robots: NDArray[np.float32],
         ap: NDArray[np.float32],
         epsilons: Sequence[float],
-        trace: list[NDArray[np.int64]] | None = None,
         serve: Callable[[World, Served], Served] | None = None,
     ) -> list[EpisodeMeasures]:
         """Plays the episodes to their end, once with each epsilon.
@@ -62,10 +61,9 @@ class Evaluator:
             robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
             ap: online weights of the access point, shape (P_AP,).
             epsilons: probabilities of a random action, for every agent that learns.
-            trace: takes the cells of every slot, the start first, if given: arrays of shape
-                (len(epsilons) * episodes, K).
-            serve: replaces the agents' phases and power levels in every slot, if given; motion
-                stays theirs, since no agent observes the phase or powers.
+            serve: is shown every slot of the len(epsilons) * episodes worlds, and may replace the
+                agents' phases and power levels, if given; motion stays theirs, since no agent
+                observes the phase or powers.
 
         Returns:
             The measures for each epsilon.
@@ -76,25 +74,14 @@ class Evaluator:
         tally = EpisodeAccumulator(world)
         exploration = Exploration(self._seed, epsilons, self.episodes)
         weights = PolicyWeights(robots, ap)
-        if trace is not None:
-            trace.append(world.cell)
         for _ in range(world.config.motion.max_slots):
             phase, direction, level = self._policy(world, weights, exploration)
             if serve is not None:
                 phase, level = serve(world, (phase, level))
             outcome = world.step(phase, direction, level)
             tally.add(outcome)
-            if trace is not None:
-                trace.append(world.cell)
             if outcome.terminated.all():
                 break
         measures = tally.measures()
         blocks = range(0, len(epsilons) * self.episodes, self.episodes)
         return [measures.of(slice(first, first + self.episodes)) for first in blocks]
-
-
-def trajectories(
-    trace: list[NDArray[np.int64]], centres_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Positions in m of traced episodes, shape (slots + 1, B, K, 2)."""
-    return centres_m[np.stack(trace)]

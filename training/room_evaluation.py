@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from conf import Config
 from conf.rooms import Room
 from training.evaluation import Evaluator
-from training.recording.history import MEASURES, evaluate, mean
+from training.recording.history import MEASURES, Evaluation, evaluate, mean
 
 Weights = NDArray[np.float32]
 Measures = dict[str, float]
@@ -23,13 +23,11 @@ class RoomScore:
 
     Attributes:
         room: which.
-        explored: measures with exploration.
-        greedy: and without.
+        found: measures, and an episode.
     """
 
     room: Room
-    explored: Measures
-    greedy: Measures
+    found: Evaluation
 
 
 class RoomsEvaluator:
@@ -66,19 +64,20 @@ class RoomsEvaluator:
                 self._evaluators[room.name] = Evaluator(room.config(self._config))
         evaluators = [self._evaluators[room.name] for room in self.rooms]
         return [
-            RoomScore(room, *evaluate(evaluator, model[None], ap_of(room), epsilon))
+            RoomScore(room, evaluate(evaluator, model[None], ap_of(room), epsilon))
             for room, evaluator in zip(self.rooms, evaluators, strict=True)
         ]
 
 
 def score(config: Config, room: Room, model: Weights, ap: Weights, epsilon: float) -> RoomScore:
     """Plays one room; arguments as ``RoomsEvaluator.scores``."""
-    return RoomScore(room, *evaluate(Evaluator(room.config(config)), model[None], ap, epsilon))
+    found = evaluate(Evaluator(room.config(config)), model[None], ap, epsilon)
+    return RoomScore(room, found)
 
 
 def overall(scores: Sequence[RoomScore]) -> tuple[Measures, Measures]:
     """Means over rooms, each counted alike: explored and greedy."""
-    kinds = ([each.explored for each in scores], [each.greedy for each in scores])
+    kinds = ([each.found.explored for each in scores], [each.found.greedy for each in scores])
     explored, greedy = (
         {
             name: mean([row[name] for row in rows])

@@ -107,7 +107,8 @@ class BuildingRecorder(Recorder):
     def write_scores(self, progress: Progress, scores: Sequence[RoomScore]) -> None:
         """Writes two rows of ``rooms.csv`` for each room: with exploration, and greedy.
 
-        TensorBoard gets means, and each of the rooms that are evaluated on the way.
+        TensorBoard gets means, and each of the rooms that are evaluated on the way. The folder of
+        each room gets an episode to show.
         """
         every = self._config.rooms.every
         followed = {room.name for room in self._rooms_evaluator.rooms}
@@ -118,12 +119,13 @@ class BuildingRecorder(Recorder):
                 "room": score.room.index,
                 "tick": progress.tick,
             }
-            for values in (score.explored, score.greedy):
+            for values in (score.found.explored, score.found.greedy):
                 row = {**at, **values}
                 self.rooms.append(row)
                 self._rooms_log.write(row)
             if score.room.name in followed:
-                self._log_events(f"room_{score.room.name}", score.greedy, progress.tick)
+                self._log_events(f"room_{score.room.name}", score.found.greedy, progress.tick)
+            self.show_episode(self.folder.room(score.room.name), progress, score.found.episode)
         for held_out, group in ((False, "rooms"), (True, "held_out_rooms")):
             some = [score for score in scores if score.room.held_out == held_out]
             if some:

@@ -87,6 +87,11 @@ class RunFolder:
         return self.path / "evaluations.csv"
 
     @property
+    def episode_file(self) -> Path:
+        """The newest episode of an evaluation, slot by slot, for whoever watches."""
+        return self.path / "episode.json"
+
+    @property
     def rooms_file(self) -> Path:
         """The rooms of a building, as ``conf.rooms`` describes them."""
         return self.path / "rooms.json"
@@ -168,7 +173,7 @@ class RunFolder:
         Args:
             whole: also what it had recorded, since it begins again.
         """
-        stale = [self.progress_file, self.summary_file]
+        stale = [self.progress_file, self.summary_file, self.episode_file]
         recorded = [self.metrics_file, self.evaluations_file, self.rooms_log_file]
         for path in stale + (recorded if whole else []):
             path.unlink(missing_ok=True)
@@ -261,6 +266,19 @@ class RunFolder:
     def write_progress(self, status: Mapping[str, Any]) -> None:
         """Writes how far the run has come; a crash of the machine may undo it."""
         write_atomically(self.progress_file, json.dumps(status), durable=False)
+
+    def read_episode(self) -> dict[str, Any] | None:
+        """The newest recorded episode, as ``training.trace.recorded``; None if there is none."""
+        try:
+            written = json.loads(self.episode_file.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return written if isinstance(written, dict) else None
+
+    def write_episode(self, episode: Mapping[str, Any]) -> None:
+        """Writes the newest episode; a crash of the machine may undo it."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        write_atomically(self.episode_file, json.dumps(episode), durable=False)
 
     def report_failure(self, error: BaseException) -> None:
         """Writes to the progress that the run failed, and why; a first failure stands."""

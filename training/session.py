@@ -164,14 +164,15 @@ class TrainingRun:
         ap = self.ap.weights()
         self.folder.write_weights(robots, ap)
         online = robots[:1, 0] if shared else robots[:, 0]
-        explored, greedy = evaluate(self.evaluator, online, ap[0], FINAL_EPSILON)
+        found = evaluate(self.evaluator, online, ap[0], FINAL_EPSILON)
+        self.recorder.show_episode(self.folder, run.progress, found.episode)
         history = self.recorder.history
         costs = self._costs()
         summary = summarise(
             self.config,
             self.recorder,
             run.progress,
-            (explored, greedy),
+            (found.explored, found.greedy),
             {"robots": digest(robots), "ap": digest(ap)},
             costs,
             trained_s,

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from conf import compose, from_yaml
 from env.oracles import per_slot
@@ -18,6 +17,7 @@ from experiments.cli import main
 from training.controllers.service import Served
 from training.evaluation import Evaluator
 from training.run_folder import RunFolder
+from training.trace import Trace
 
 SMALL = ("env.robots=2", "env.room.cell_m=2.0")
 
@@ -30,11 +30,12 @@ def test_a_policys_paths_stay_when_phases_and_powers_are_replaced(tiny_run: Path
     def best(world: World, served: Served) -> Served:
         return per_slot.best_phase_and_powers(world)
 
-    plain: list[NDArray[np.int64]] = []
-    replaced: list[NDArray[np.int64]] = []
-    (played,) = evaluator.play(robots, ap, (0.0,), plain)
-    (served,) = evaluator.play(robots, ap, (0.0,), replaced, best)
-    np.testing.assert_array_equal(np.stack(plain), np.stack(replaced))
+    plain, replaced = Trace(), Trace()
+    (played,) = evaluator.play(robots, ap, (0.0,), plain.see)
+    (served,) = evaluator.play(
+        robots, ap, (0.0,), lambda world, served: replaced.see(world, best(world, served))
+    )
+    np.testing.assert_array_equal(np.stack(plain.cells), np.stack(replaced.cells))
     assert (served.sum_rate > played.sum_rate).all()
 
 

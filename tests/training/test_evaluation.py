@@ -14,8 +14,9 @@ from safetensors.numpy import load_file
 from conf import Config
 from env.episode import EpisodeMeasures
 from experiments.runtimes import local
-from training.evaluation import Evaluator, trajectories
+from training.evaluation import Evaluator
 from training.run_folder import RunFolder
+from training.trace import Trace
 
 Tiny = Callable[..., Config]
 Weights = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -68,13 +69,13 @@ def test_equal_robots_give_what_one_shared_network_gives(tiny: Tiny, weights: We
 def test_each_robot_follows_its_own_network(tiny: Tiny, weights: Weights) -> None:
     robots, ap = weights
     evaluator = Evaluator(tiny())
-    traces: list[list[NDArray[np.int64]]] = [[], []]
-    evaluator.play(robots, ap, (0.0,), traces[0])
+    traces = Trace(), Trace()
+    evaluator.play(robots, ap, (0.0,), traces[0].see)
     other = robots.copy()
     other[1] = np.random.default_rng(0).normal(size=robots.shape[1]).astype(np.float32)  # type: ignore[attr-defined]
-    evaluator.play(other, ap, (0.0,), traces[1])
-    length = min(map(len, traces))
-    before, after = (np.stack(trace[:length]) for trace in traces)
+    evaluator.play(other, ap, (0.0,), traces[1].see)
+    length = min(len(trace.cells) for trace in traces)
+    before, after = (np.stack(trace.cells[:length]) for trace in traces)
     assert (before[..., 1] != after[..., 1]).any()
     np.testing.assert_array_equal(before[..., [0, 2]], after[..., [0, 2]])
 
@@ -85,13 +86,13 @@ def test_starts_are_held_out_and_the_same_for_every_number_of_calls(
     evaluator = Evaluator(tiny())
     starts = []
     for epsilons in ((0.0,), (0.5, 0.0), (0.2,)):
-        trace: list[NDArray[np.int64]] = []
-        evaluator.play(*weights, epsilons, trace)
-        starts += [trace[0][i : i + 4] for i in range(0, 4 * len(epsilons), 4)]
+        trace = Trace()
+        evaluator.play(*weights, epsilons, trace.see)
+        starts += [trace.cells[0][i : i + 4] for i in range(0, 4 * len(epsilons), 4)]
     assert all(np.array_equal(starts[0], start) for start in starts)
-    other: list[NDArray[np.int64]] = []
-    Evaluator(tiny({"seed": 1})).play(*weights, (0.0,), other)
-    assert not np.array_equal(starts[0], other[0])
+    other = Trace()
+    Evaluator(tiny({"seed": 1})).play(*weights, (0.0,), other.see)
+    assert not np.array_equal(starts[0], other.cells[0])
 
 
 def test_other_starts_keep_the_task(tiny: Tiny) -> None:
@@ -116,12 +117,13 @@ def test_more_episodes_can_be_asked_for(tiny: Tiny, weights: Weights) -> None:
 
 def test_a_trace_moves_a_cell_at_a_time(tiny: Tiny, weights: Weights) -> None:
     evaluator = Evaluator(tiny())
-    trace: list[NDArray[np.int64]] = []
-    evaluator.play(*weights, (0.5,), trace)
-    ways = trajectories(trace, evaluator.world.floor.centres())
+    trace = Trace()
+    evaluator.play(*weights, (0.5,), trace.see)
+    trace.finish(evaluator.world)
+    ways = trace.ways_m(evaluator.world)
     steps = np.abs(np.diff(ways, axis=0)).sum(axis=-1)
     assert set(np.unique(steps)) <= {0.0, 1.0}
-    assert ways.shape == (len(trace), 4, 3, 2)
+    assert ways.shape == (len(trace.cells), 4, 3, 2)
 
 
 @pytest.mark.parametrize("every", [1, 1000])

@@ -147,6 +147,7 @@ def test_a_run_leaves_no_temporary_files(tiny_run: Path) -> None:
     names = {path.name for path in tiny_run.iterdir()}
     assert names == {
         "config.yaml",
+        "episode.json",
         "evaluations.csv",
         "figures",
         "metrics.csv",

@@ -15,7 +15,7 @@ PACKAGES = (
 OWNER = ROOT / "training" / "run_folder.py"
 FILES = (
     "config.yaml", "summary.json", "progress.json", "metrics.csv", "evaluations.csv",
-    "weights.safetensors", "flower.log", "rooms.json", "rooms.csv",
+    "episode.json", "weights.safetensors", "flower.log", "rooms.json", "rooms.csv",
 )  # fmt: skip
 PLAIN = ("stop", "state", "figures", "tensorboard")
 """Names that are words, too: these are names only where a path is made of them."""

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from conf import Config
 from env.rendering.drawing import trajectory_figure
-from training.evaluation import Evaluator, trajectories
+from training.evaluation import Evaluator
 from training.recording.history import History
+from training.trace import Trace
 
 SMOOTHING = 10
 DRAWN_EPISODES = 3
@@ -45,16 +46,15 @@ def save_figures(
         [row["success"] for row in history.evaluations],
         config.evaluation.epsilon,
     ).savefig(folder / "learning_curve.png", dpi=DPI)
-    trace: list[NDArray[np.int64]] = []
-    evaluator.play(robots, ap, (0.0,), trace)
-    world = evaluator.world
-    centres = world.floor.centres()
-    ways = trajectories(trace, centres)[:, :DRAWN_EPISODES]
+    world, trace = evaluator.world, Trace(slice(DRAWN_EPISODES))
+    evaluator.play(robots, ap, (0.0,), trace.see)
+    trace.finish(world)
+    ways = trace.ways_m(world)
     trajectory_figure(
         config.env,
         world.radio_map,
         ways,
-        centres[world.destinations],
+        world.floor.centres()[world.destinations],
         [f"held-out start {index + 1}, greedy" for index in range(ways.shape[1])],
     ).savefig(folder / "trajectories.png", dpi=DPI)
 

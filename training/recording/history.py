@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from conf import Config
 from env.episode import EpisodeMeasures
 from training.evaluation import Evaluator
 from training.recording.progress import Progress
+from training.trace import Trace, recorded
 
 MEASURES = (
     "success",
@@ -73,9 +75,24 @@ def mean(values: list[float]) -> float:
     return float(np.mean(finite)) if finite else float("nan")
 
 
+@dataclass(frozen=True)
+class Evaluation:
+    """What frozen weights are worth.
+
+    Attributes:
+        explored: measures with exploration, the path ratio that of the greedy ones.
+        greedy: measures without.
+        episode: the first greedy episode, as ``training.trace.recorded`` gives it.
+    """
+
+    explored: dict[str, float]
+    greedy: dict[str, float]
+    episode: dict[str, Any]
+
+
 def evaluate(
     evaluator: Evaluator, robots: NDArray[np.float32], ap: NDArray[np.float32], epsilon: float
-) -> tuple[dict[str, float], dict[str, float]]:
+) -> Evaluation:
     """Plays frozen weights with some exploration and greedily.
 
     Args:
@@ -83,12 +100,14 @@ def evaluate(
         robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
         ap: online weights of the access point, shape (P_AP,).
         epsilon: exploration of the first.
-
-    Returns:
-        Measures with exploration, with the path ratio of the greedy ones; and greedy ones.
     """
-    explored, greedy = (m.summary() for m in evaluator.play(robots, ap, (epsilon, 0.0)))
-    return (
-        {**explored, "epsilon": epsilon, "path_ratio": greedy["path_ratio"]},
-        {**greedy, "epsilon": 0.0},
+    first = evaluator.episodes  # of the second block of worlds, that without exploration
+    trace = Trace(slice(first, first + 1))
+    explored, greedy = evaluator.play(robots, ap, (epsilon, 0.0), serve=trace.see)
+    trace.finish(evaluator.world)
+    found = greedy.summary()
+    return Evaluation(
+        {**explored.summary(), "epsilon": epsilon, "path_ratio": found["path_ratio"]},
+        {**found, "epsilon": 0.0},
+        recorded(trace, evaluator.world, greedy),
     )

@@ -26,8 +26,9 @@ log = logging.getLogger(__name__)
 class Recorder:
     """Watches a run, implements ``progress.Observer``.
 
-    What the run is to leave behind must be written. ``progress.json`` and the events of TensorBoard
-    only show it to whoever watches: where they fail, that is said once, and the run goes on.
+    What the run is to leave behind must be written. ``progress.json``, ``episode.json`` and the
+    events of TensorBoard only show it to whoever watches: where they fail, that is said once, and
+    the run goes on.
 
     Args:
         config: the run's configuration.
@@ -64,7 +65,7 @@ class Recorder:
         self.checkpoint: int | None = None
         self.round: int | None = None
         self.running = False
-        self._is_shown = True
+        self._unwritten: set[str] = set()
         folder.path.mkdir(parents=True, exist_ok=True)
         folder.write_config(config)
         marks = resumed or {"episodes": 0, "evaluations": 0, "training_s": 0.0, "evaluation_s": 0.0}
@@ -116,8 +117,9 @@ class Recorder:
         self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
     ) -> None:
         assert self._evaluator is not None
-        scores = evaluate(self._evaluator, robots, ap, self._config.evaluation.epsilon)
-        self._write_evaluation(progress, *scores)
+        found = evaluate(self._evaluator, robots, ap, self._config.evaluation.epsilon)
+        self._write_evaluation(progress, found.explored, found.greedy)
+        self.show_episode(self.folder, progress, found.episode)
 
     def _write_evaluation(
         self, progress: Progress, explored: dict[str, float], greedy: dict[str, float]
@@ -148,14 +150,30 @@ class Recorder:
         self._written = time.perf_counter()
         said = {"state": state, "message": message, "written_at": time.time()}
         status = {**said, **self.status(progress)}
+        self._show(self.folder.progress_file.name, lambda: self.folder.write_progress(status))
+
+    def show_episode(
+        self, folder: RunFolder, progress: Progress, episode: Mapping[str, Any]
+    ) -> None:
+        """Writes ``episode.json``: the newest episode of an evaluation, for whoever watches.
+
+        Args:
+            folder: the run's, or a room's.
+            progress: where the run is.
+            episode: as ``training.trace.recorded`` gives it.
+        """
+        at = {"tick": progress.tick, "episode": progress.episodes}
+        self._show(folder.episode_file.name, lambda: folder.write_episode({**at, **episode}))
+
+    def _show(self, name: str, write: Callable[[], None]) -> None:
+        """Writes a file that only shows the run; says once that it cannot be written."""
         try:
-            self.folder.write_progress(status)
-            self._is_shown = True
+            write()
+            self._unwritten.discard(name)
         except OSError as error:
-            if self._is_shown:
-                name, why = self.folder.progress_file.name, error.strerror or error
-                log.warning("%s is not written: %s", name, why)
-            self._is_shown = False
+            if name not in self._unwritten:
+                log.warning("%s is not written: %s", name, error.strerror or error)
+            self._unwritten.add(name)
 
     def status(self, progress: Progress) -> dict[str, Any]:
         """What ``progress.json`` says of where a run is."""

@@ -20,7 +20,7 @@ from agent import single_threaded
 from conf import Config, ConfigError, fingerprint
 from env.config import RewardConfig, StateConfig
 from experiments.analysis.optimality_gap import SLACK
-from experiments.reproduce.results.trace import planned
+from experiments.analysis.played import planned
 from storage.atomic import write_atomically
 from training.evaluation import Evaluator
 

@@ -7,11 +7,11 @@ from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
+from experiments.analysis.played import PlayedEpisodes, learned, mirrored, planned
 from experiments.reproduce.results.output import save_figure, write_csv
 from experiments.reproduce.results.planning import planned_values
 from experiments.reproduce.results.points import LEARNED, PLANNED
 from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.results.trace import PlayedEpisodes, learned, mirrored, planned
 from experiments.reproduce.targets.fig4 import cells_of
 from experiments.reproduce.targets.fig5_drawing import Shown, draw_along, draw_ways
 from experiments.reproduce.targets.plan import Cell

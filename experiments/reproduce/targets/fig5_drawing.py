@@ -13,8 +13,8 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from env.rendering.drawing import ROBOT_COLOURS, best_gain_db, draw_floor, missed
+from experiments.analysis.played import PlayedEpisodes
 from experiments.reproduce.results.output import plain
-from experiments.reproduce.results.trace import PlayedEpisodes
 from training.recording.figures import running_mean
 
 if TYPE_CHECKING:

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from conf import ConfigError, compose, overridden
 from env.oracles.trajectory import best_trajectory
 from experiments.analysis import optimality_gap
+from experiments.analysis import played as along
 from experiments.analysis.optimality_gap import SLACK
 from experiments.reproduce.results import planning
-from experiments.reproduce.results import trace as along
 from experiments.reproduce.results.points import (
     BEST,
     LEARNED,
@@ -37,6 +36,7 @@ from experiments.runtimes import local
 from training.evaluation import Evaluator
 from training.preflight import checked_training
 from training.run_folder import RunFolder
+from training.trace import Trace
 
 OWN = ("runtime", "run.", "env.ris.side")
 """Keys of the tiny task that cells set."""
@@ -302,12 +302,13 @@ def test_robots_of_fig_5_start_opposite_their_destinations() -> None:
 
 def test_what_is_seen_along_the_way_is_what_is_measured(runs_of_fig5: Runs) -> None:
     run = fig5.first(runs_of_fig5[fig5.Fig5Setting(30, "qos").name])
-    trace: list[NDArray[np.int64]] = []
+    trace = Trace()
     evaluator = Evaluator(run.config)
-    (played,) = evaluator.play(*run.weights(), (0.05,), trace)
+    (played,) = evaluator.play(*run.weights(), (0.05,), trace.see)
+    trace.finish(evaluator.world)
     drive = along.learned(Evaluator(run.config), run.weights(), 0.05)
     np.testing.assert_array_equal(drive.measures.ee, played.ee)
-    np.testing.assert_array_equal(drive.ways_m, evaluator.world.floor.centres()[np.stack(trace)])
+    np.testing.assert_array_equal(drive.ways_m, trace.ways_m(evaluator.world))
     slots = np.isfinite(drive.along.rate).any(axis=-1).sum(axis=0)
     sums = np.nansum(drive.along.rate, axis=(0, 2))
     np.testing.assert_allclose(sums / slots, played.sum_rate)
@@ -347,7 +348,8 @@ def test_fig_5_writes_every_slot_and_every_measure(runs_of_fig5: Runs, tmp_path:
 def test_a_robot_that_does_not_arrive_is_crossed(tiny: Any) -> None:
     evaluator = along.mirrored(tiny())
     there = along.planned(evaluator)
-    stuck = dataclasses.replace(there, end=evaluator.starts)
+    stuck = along.planned(along.mirrored(tiny()))
+    stuck.along.cells[-1] = evaluator.starts
 
     def crosses(axes: Axes) -> int:
         return sum(line.get_marker() == "X" for line in axes.lines)

@@ -1,8 +1,8 @@
-"""What robots are served along their ways, slot by slot: learned policies and planned ones."""
+"""Episodes as policies, rules and plans drive them, with all that happens on the way."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,45 +12,8 @@ from env.episode import EpisodeMeasures
 from env.world import World
 from experiments.analysis import optimality_gap
 from experiments.analysis.optimality_gap import SLACK
-from training.controllers.service import Served
 from training.evaluation import Evaluator
-
-
-@dataclass
-class Trace:
-    """The slots of B episodes, as they are played; ``see`` fits ``Evaluator.play``.
-
-    Attributes:
-        cells: where the robots are in each slot, T arrays of shape (B, K).
-        driving: which of them drive.
-        gains: |h_k|^2 under the phase that is set.
-        rates: R_k in bit/s/Hz.
-    """
-
-    cells: list[NDArray[np.int64]] = field(default_factory=list)
-    driving: list[NDArray[np.bool_]] = field(default_factory=list)
-    gains: list[NDArray[np.float64]] = field(default_factory=list)
-    rates: list[NDArray[np.float64]] = field(default_factory=list)
-
-    def see(self, world: World, served: Served) -> Served:
-        """Notes a slot before the world moves on; returns what is served, unchanged."""
-        phase, level = served
-        gain = np.abs(world.channel(phase)) ** 2
-        self.cells.append(world.cell)
-        self.driving.append(world.driving)
-        self.gains.append(gain)
-        self.rates.append(world.downlink.allocate(gain, level, world.driving).rate)
-        return served
-
-    @property
-    def gain_db(self) -> NDArray[np.float64]:
-        """Gains in dB, nan where a robot does not drive, shape (T, B, K)."""
-        return np.where(np.stack(self.driving), 10.0 * np.log10(np.stack(self.gains)), np.nan)
-
-    @property
-    def rate(self) -> NDArray[np.float64]:
-        """Rates in bit/s/Hz, nan where a robot does not drive, shape (T, B, K)."""
-        return np.where(np.stack(self.driving), np.stack(self.rates), np.nan)
+from training.trace import Trace
 
 
 @dataclass(frozen=True)
@@ -60,19 +23,17 @@ class PlayedEpisodes:
     Attributes:
         measures: of each.
         along: their slots.
-        end: the cells where the robots ended, shape (B, K).
         world: where they were played.
     """
 
     measures: EpisodeMeasures
     along: Trace
-    end: NDArray[np.int64]
     world: World
 
     @property
     def ways_m(self) -> NDArray[np.float64]:
         """Positions in m, the last one included, shape (T + 1, B, K, 2)."""
-        return np.asarray(self.world.floor.centres()[np.stack([*self.along.cells, self.end])])
+        return self.along.ways_m(self.world)
 
     @property
     def destinations_m(self) -> NDArray[np.float64]:
@@ -99,7 +60,8 @@ def learned(
     """
     along = Trace()
     (measures,) = evaluator.play(*weights, (epsilon,), serve=along.see)
-    return PlayedEpisodes(measures, along, evaluator.world.cell, evaluator.world)
+    along.finish(evaluator.world)
+    return PlayedEpisodes(measures, along, evaluator.world)
 
 
 def planned(evaluator: Evaluator, slack: int = SLACK) -> PlayedEpisodes:
@@ -111,7 +73,8 @@ def planned(evaluator: Evaluator, slack: int = SLACK) -> PlayedEpisodes:
     """
     along = Trace()
     measures = optimality_gap.trajectory_measures(evaluator, slack, watch=along.see)
-    return PlayedEpisodes(measures, along, evaluator.world.cell, evaluator.world)
+    along.finish(evaluator.world)
+    return PlayedEpisodes(measures, along, evaluator.world)
 
 
 def mirrored(config: Config) -> Evaluator:
