@@ -24,6 +24,8 @@ usage: risfleet COMMAND ...
   oracle RUN | KEY=VALUE ... what oracles reach, and a run's gap to them
   reproduce TARGET           the paper's figures and other tables: trains what they need
   status RUN                 where a run is
+  watch RUN                  a page on this machine that follows a run
+  replay RUN --out FILE      an episode as a page (.html) or a film (.gif, .mp4)
   map [KEY=VALUE ...]        what the RIS gains on a radio map; --out FILE.png draws it
   keys DIR [options]         makes the certificates and keys of a secured fleet
 
@@ -54,7 +56,7 @@ Says where the run in the folder RUN is.
 
   -h, --help       prints this"""
 
-COMMANDS = ("train", "evaluate", "oracle", "reproduce", "status", "map", "keys")
+COMMANDS = ("train", "evaluate", "oracle", "reproduce", "status", "watch", "replay", "map", "keys")
 """Each is a module of ``experiments.commands``, which is loaded when it is asked for."""
 
 _USAGES = {"train": TRAIN_USAGE, "status": STATUS_USAGE}

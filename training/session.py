@@ -67,6 +67,7 @@ class TrainingRun:
         self.evaluator = Evaluator(config, scenario)
         marks = None if resumed is None else resumed.meta["marks"]
         self.recorder = Recorder(config, folder, self.evaluator, self.cpu_s, marks)
+        self.recorder.losses = self.losses
 
     def cpu_s(self) -> float:
         """Processor time of this process and of the robots' processes since the run began."""

@@ -33,7 +33,12 @@ PARTS = ("phase", "power", "motion")
 RESAMPLES = 2000
 
 Measures = dict[str, EpisodeMeasures]
+Watch = Callable[[World, Served], object]
 Each = Callable[[Iterable[NDArray[np.int64]]], Iterable[NDArray[np.int64]]]
+
+
+def ignored(world: World, served: Served) -> None:
+    """Watches nothing."""
 
 
 def shortest_measures(evaluator: Evaluator, seed: int) -> Measures:
@@ -74,15 +79,22 @@ def shortest_measures(evaluator: Evaluator, seed: int) -> Measures:
     }
 
 
-def shortest_best_measures(evaluator: Evaluator) -> EpisodeMeasures:
+def shortest_best_measures(evaluator: Evaluator, watch: Watch = ignored) -> EpisodeMeasures:
     """The best rule: shortest ways, with the phases and powers that serve the objective (5a) best.
 
     Args:
         evaluator: the held-out episodes.
+        watch: is shown the world in every slot before it moves on, with what is served in it.
     """
     world, starts = evaluator.world, evaluator.starts
     weights = _weights(world, starts)
-    return _played(world, starts, lambda world: per_slot.best_phase_and_powers(world, weights))
+
+    def serve(world: World) -> Served:
+        served = per_slot.best_phase_and_powers(world, weights)
+        watch(world, served)
+        return served
+
+    return _played(world, starts, serve)
 
 
 def _weights(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -115,7 +127,7 @@ def trajectory_measures(
     evaluator: Evaluator,
     slack: int,
     each: Each = iter,
-    watch: Callable[[World, Served], object] = lambda world, served: None,
+    watch: Watch = ignored,
     planned_in: World | None = None,
 ) -> EpisodeMeasures:
     """Plans every held-out episode and plays the plans.

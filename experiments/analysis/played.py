@@ -77,6 +77,18 @@ def planned(evaluator: Evaluator, slack: int = SLACK) -> PlayedEpisodes:
     return PlayedEpisodes(measures, along, evaluator.world)
 
 
+def ruled(evaluator: Evaluator) -> PlayedEpisodes:
+    """Plays the best rule: shortest ways with the phases and powers that serve (5a) best.
+
+    Args:
+        evaluator: the episodes.
+    """
+    along = Trace()
+    measures = optimality_gap.shortest_best_measures(evaluator, along.see)
+    along.finish(evaluator.world)
+    return PlayedEpisodes(measures, along, evaluator.world)
+
+
 def mirrored(config: Config) -> Evaluator:
     """One episode in which each robot starts opposite its destination.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ class Recorder:
         clients: each client, whether it is connected and what it has cost.
         checkpoint: the window of the last checkpoint, if any.
         round: the number of the Flower round, if there are rounds.
+        losses: of clients, and what became of the run.
     """
 
     columns: tuple[str, ...] = METRICS
@@ -64,6 +65,7 @@ class Recorder:
         self._ended: float | None = None
         self.checkpoint: int | None = None
         self.round: int | None = None
+        self.losses: Sequence[Mapping[str, Any]] = ()
         self.running = False
         self._unwritten: set[str] = set()
         folder.path.mkdir(parents=True, exist_ok=True)
@@ -195,6 +197,7 @@ class Recorder:
             else None,
             "checkpoint": self.checkpoint,
             "round": self.round,
+            "losses": len(self.losses),
             "clients": self.clients(),
         }
 

@@ -1,0 +1,64 @@
+"""``risfleet watch``: a page on this machine that follows a run, going on or ended."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import webbrowser
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from agent import single_threaded
+from conf import ConfigError
+from conf.user_paths import user_path
+from experiments.viewer.follower import Follower
+from experiments.viewer.server import HOST, WatchServer
+from training.run_folder import RunFolder
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Runs the command until Ctrl-C; returns the exit status."""
+    given = _parser().parse_args(arguments)
+    try:
+        follower = Follower(RunFolder(user_path(given.run)))
+        server = _listening(follower, given.port)
+    except ConfigError as error:
+        print(f"risfleet: {error}", file=sys.stderr)
+        return 2
+    single_threaded()
+    with server:
+        console = Console()
+        console.print(f"{follower.folder}: {server.url}  (Ctrl-C ends)", soft_wrap=True)
+        if given.open:
+            webbrowser.open(server.url)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            console.print("ended; the run goes on if it was going on", highlight=False)
+    return 0
+
+
+def _listening(follower: Follower, port: int) -> WatchServer:
+    try:
+        return WatchServer(follower, port)
+    except OSError as error:
+        allowed = f"one that is free on {HOST}, or 0 for any"
+        raise ConfigError(f"--port {port}: allowed is {allowed} ({error.strerror}).") from error
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("risfleet watch", description=__doc__)
+    parser.add_argument("run", metavar="RUN", help="the folder of a run that has begun")
+    parser.add_argument(
+        "--port", type=_port, default=0, help=f"to listen on at {HOST}; any free one by default"
+    )
+    parser.add_argument("--open", action="store_true", help="open the page in the browser")
+    return parser
+
+
+def _port(text: str) -> int:
+    """An option's port."""
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text}: allowed is a whole number from 0 to 65535")
+    return int(text)

@@ -1,0 +1,91 @@
+"""Episodes to show: what a run has learned, and what else drives from the same starts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from agent import single_threaded
+from conf import Config, ConfigError, has_rooms
+from experiments.analysis import played
+from experiments.viewer.scene import scene
+from training.evaluation import Evaluator
+from training.run_folder import RunFolder
+from training.trace import recorded
+
+ORACLE, RULE = "oracle", "shortest"
+RIVALS = {
+    ORACLE: "trajectory oracle: motion, phases and powers planned",
+    RULE: "shortest ways, best phases and powers",
+}
+"""What drives from the same start without learning, by its name on the command line."""
+
+
+Panel = dict[str, Any]
+"""A "title", a "scene" as ``scene.scene``, and an "episode" as ``training.trace.recorded``."""
+
+
+def of_run(folder: RunFolder, episode: int, epsilon: float = 0.0) -> Panel:
+    """An episode of a run's final weights.
+
+    Args:
+        folder: of a run, or of a room of a building.
+        episode: the number of the held-out start, from 0.
+        epsilon: probability of a random action.
+
+    Raises:
+        ConfigError: the folder is none of a run that has ended, or is a building's.
+    """
+    config = _config(folder)
+    weights = folder.read_weights(config)
+    evaluator = one_start(config, episode)
+    driven = played.learned(evaluator, weights, epsilon)
+    explored = f", {epsilon:.0%} random actions" if epsilon else ", greedy"
+    return _panel(f"{folder.path.name}: learned{explored}", driven)
+
+
+def rival(folder: RunFolder, episode: int, name: str) -> Panel:
+    """The same episode as driven by one of ``RIVALS``.
+
+    Raises:
+        ConfigError: there is no plan, as with fading that changes in each slot.
+    """
+    evaluator = one_start(_config(folder), episode)
+    try:
+        driven = played.planned(evaluator) if name == ORACLE else played.ruled(evaluator)
+    except ValueError as error:
+        raise ConfigError(f"{error}.") from error
+    return _panel(RIVALS[name], driven)
+
+
+def one_start(config: Config, episode: int) -> Evaluator:
+    """One of a run's held-out starts.
+
+    Raises:
+        ConfigError: there are not so many.
+    """
+    single_threaded()
+    whole = Evaluator(config)
+    if episode >= whole.episodes:
+        last = whole.episodes - 1
+        raise ConfigError(
+            f"--episode {episode}: allowed is 0 to {last}, the run's held-out starts."
+        )
+    one = Evaluator(config, whole.world.scenario, episodes=1)
+    one.starts = whole.starts[episode : episode + 1]
+    return one
+
+
+def _config(folder: RunFolder) -> Config:
+    config = folder.read_config()
+    if has_rooms(config):
+        some = folder.room("0000")
+        raise ConfigError(f"{folder}: allowed is one of the building's rooms, such as {some}.")
+    return config
+
+
+def _panel(title: str, driven: played.PlayedEpisodes) -> Panel:
+    return {
+        "title": title,
+        "scene": scene(driven.world.scenario),
+        "episode": recorded(driven.along, driven.world, driven.measures),
+    }
