@@ -81,8 +81,10 @@ class Follower:
         }
 
     def rooms(self) -> Sequence[Room]:
-        """A building's rooms."""
+        """A building's rooms; none of a run without, or that has not written them yet."""
         if self._rooms is None:
+            if not (has_rooms(self.config) and self.folder.rooms_file.is_file()):
+                return []
             self._rooms = known_rooms(self.config, self.folder)
         return self._rooms
 

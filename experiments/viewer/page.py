@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
@@ -25,11 +26,7 @@ def page(title: str, data: Mapping[str, Any]) -> str:
         "DATA": json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),
         "SCRIPT": "\n".join(map(_part, SCRIPTS)),
     }
-    whole = _part("page.html")
-    for name, text in parts.items():
-        before, after = whole.split(f"@{name}@")
-        whole = f"{before}{text}{after}"
-    return whole
+    return re.sub("@([A-Z]+)@", lambda place: parts[place[1]], _part("page.html"))
 
 
 def _part(name: str) -> str:

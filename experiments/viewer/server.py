@@ -40,10 +40,10 @@ class WatchServer(ThreadingHTTPServer):
     allow_reuse_address = True
 
     def __init__(self, follower: Follower, port: int = 0) -> None:
-        super().__init__((HOST, port), _Handler)
         self.follower = follower
         self.stopping = threading.Event()
         self._reading = threading.Lock()
+        super().__init__((HOST, port), _Handler)
 
     @property
     def url(self) -> str:
