@@ -20,9 +20,10 @@ from conf.checks import problems
 from conf.errors import ConfigError, first_sentence
 from conf.overrides import FOLDER, lines, parse, schema_node
 from conf.schema import Config
-from conf.user_paths import PATHS
+from conf.user_paths import CHANNELS, PATHS
 from env.checks import planned_config
 from env.geometry import floor_plans
+from env.radio.channel_file import sha256_of
 
 PLAN = "env.plan"
 
@@ -81,6 +82,10 @@ def composed(overrides: Sequence[Override]) -> Config:
                 OmegaConf.update(node, key, os.path.expanduser(path))
         plans = [floor_plans.absolute(plan) for plan in node.rooms.plans]
         OmegaConf.update(node, "rooms.plans", plans)  # hosts of rooms have other working folders
+        if isinstance(path := OmegaConf.select(node, CHANNELS), str):
+            OmegaConf.update(node, CHANNELS, os.path.abspath(path))
+            if node.env.channel.model == "file" and node.env.channel.sha256 is None:
+                node.env.channel.sha256 = sha256_of(path)  # the run's own from now on
     except OmegaConfBaseException as error:
         raise ConfigError(f"{first_sentence(error)}.") from error
     return from_node(node)

@@ -19,7 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from conf.errors import ConfigError, shown
 from conf.schema import Config
-from conf.user_paths import PATHS, with_quoted_path
+from conf.user_paths import LISTED, PATHS, with_quoted_path
 from env.texts import read_unmarked_text
 from env.validate import hints_of, refused
 
@@ -143,7 +143,7 @@ def _check(text: str, override: Override, schema: DictConfig, *, sweep: bool) ->
     key = override.key_or_group
     if not key:
         raise ConfigError(f"{text!r} is not of the form key=value.")
-    several = override.is_sweep_override() or _lists_plans(override)
+    several = override.is_sweep_override() or _lists_paths(override)
     if several and not sweep:
         raise ConfigError(f"{text!r} lists several values: allowed is one, or a sweep with -m.")
     if override.is_delete() or (override.is_add() and not override.is_force_add()):
@@ -156,9 +156,9 @@ def _check(text: str, override: Override, schema: DictConfig, *, sweep: bool) ->
         _check_value(key, override, schema)
 
 
-def _lists_plans(override: Override) -> bool:
-    """Whether a path that is no file's lists floor plans."""
-    if override.key_or_group != "env.plan":
+def _lists_paths(override: Override) -> bool:
+    """Whether a path that is no file's lists floor plans, or files of channels."""
+    if override.key_or_group not in LISTED:
         return False
     value = str(override.value())
     return "," in value and not Path(value).exists()

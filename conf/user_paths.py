@@ -11,7 +11,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
 
-PATHS = ("run.dir", "env.plan")
+CHANNELS = "env.channel.file"
+LISTED = ("env.plan", CHANNELS)
+"""Keys whose values are paths, of which a sweep lists several with commas between them."""
+
+PATHS = ("run.dir", *LISTED)
 """Keys of a run whose values are paths."""
 
 RESUME = "resume"
@@ -37,14 +41,14 @@ def with_quoted_path(text: str, *, several: bool = False) -> str:
 
     Args:
         text: such as ``run.dir=/tmp/my run``; what sets no path comes back unchanged.
-        several: whether commas of ``env.plan`` separate values.
+        several: whether commas of ``LISTED`` keys separate values.
     """
     found = _OVERRIDE.fullmatch(text)
     if found is None or found["key"].lstrip("+") not in PATHS or found["value"] == "null":
         return text
     values = [found["value"]]
-    plans = found["key"].lstrip("+") == "env.plan"
-    if several and plans and not user_path(found["value"]).exists():
+    listed = found["key"].lstrip("+") in LISTED
+    if several and listed and not user_path(found["value"]).exists():
         if _FUNCTION.match(found["value"]):
             return text
         values = _VALUE.findall(found["value"])

@@ -108,9 +108,13 @@ class TasksConfig:
 
 @dataclass(frozen=True)
 class ChannelConfig:
-    """Path loss and fading: 3GPP TR 38.901, indoor hotspot, or a model of the user's own."""
+    """Path loss and fading: 3GPP TR 38.901, indoor hotspot, or a user's model or file."""
 
-    model: Annotated[str, "or an installed package's (docs/extending.md)"] = "indoor_hotspot"
+    model: Annotated[
+        str, "file (docs/channels.md), or an installed package's (docs/extending.md)"
+    ] = "indoor_hotspot"
+    file: Annotated[str | None, "the .npz file of channels, with model=file"] = None
+    sha256: Annotated[str | None, "of that file; null takes it as it is when a run begins"] = None
     frequency_ghz: Positive = 2.4
     rician_k_db: float = 7.0
     fading: Annotated[str, Literal["static", "none", "slot"], "of the direct channel"] = "static"

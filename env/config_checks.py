@@ -14,7 +14,7 @@ from env.config import MAX_CELLS, MAX_PHASE_ACTIONS, EnvConfig, RoomConfig
 from env.geometry.distances import distance_m
 from env.geometry.floor import Floor
 from env.mdp import lateness
-from env.radio import mounting
+from env.radio import channel_file, mounting
 from env.ris_checks import codebook_problems, pair_problems
 from env.validate import Problem
 
@@ -204,6 +204,7 @@ def _combination_problems(config: EnvConfig) -> list[Problem]:
 
 RULES = (
     plugins.problems,
+    channel_file.key_problems,
     _geometry_problems,
     _combination_problems,
     pair_problems,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -55,18 +55,19 @@ class _Models:
 
     Args:
         key: the key.
-        ours: the name of the model that is not a plug-in.
+        ours: the names of models that are no plug-ins.
         group: the group of entry points in which packages list theirs.
     """
 
-    def __init__(self, key: str, ours: str, group: str) -> None:
+    def __init__(self, key: str, ours: Sequence[str], group: str) -> None:
         self.key, self.ours, self.group = key, ours, group
         self._registered: dict[str, Callable[..., Any]] = {}
 
     def register(self, name: str, function: Callable[..., Any]) -> None:
         """Makes a function known in this process; the same name again replaces it."""
-        if not isinstance(name, str) or not _NAME.fullmatch(name) or name == self.ours:
-            say = f"a name other than {self.ours}, of at most 64 letters, digits, '_', '-', '.'"
+        if not isinstance(name, str) or not _NAME.fullmatch(name) or name in self.ours:
+            other = " and ".join(self.ours)
+            say = f"a name other than {other}, of at most 64 letters, digits, '_', '-', '.'"
             raise PluginError(self.key, name, say)
         if not callable(function):
             raise PluginError(self.key, name, f"a function, not {type(function).__name__}")
@@ -78,7 +79,7 @@ class _Models:
         Raises:
             PluginError: there is none, or more than one, or it does not load.
         """
-        if name == self.ours:
+        if name in self.ours:
             return None
         if name in self._registered:
             return self._registered[name]
@@ -106,11 +107,11 @@ class _Models:
 
     def _names(self) -> list[str]:
         installed = {entry.name for entry in metadata.entry_points(group=self.group)}
-        return [self.ours, *sorted({*installed, *self._registered} - {self.ours})]
+        return [*self.ours, *sorted({*installed, *self._registered} - {*self.ours})]
 
 
-_CHANNELS = _Models("env.channel.model", "indoor_hotspot", "risfleet.channel_models")
-_REWARDS = _Models("env.reward.model", "paper", "risfleet.rewards")
+_CHANNELS = _Models("env.channel.model", ("indoor_hotspot", "file"), "risfleet.channel_models")
+_REWARDS = _Models("env.reward.model", ("paper",), "risfleet.rewards")
 
 
 def register_channel_model(name: str, function: ChannelModel) -> None:

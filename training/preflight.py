@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 from conf import (
@@ -14,6 +15,8 @@ from conf import (
     learns_nothing,
 )
 from conf.rooms import rooms_of
+from env.config import EnvConfig
+from env.radio import channel_file
 from env.validate import Problem
 from training.engine_limits import max_concurrent_clients
 
@@ -30,7 +33,11 @@ def check(config: Config) -> Config:
     if config.runtime.name == "simulation" and (found := _simulation_problems(config)):
         raise ConfigError.of(found)
     if has_rooms(config):
-        rooms_of(config)  # draws and checks each
+        rooms = [room.config(config).env for room in rooms_of(config)]  # draws and checks each
+    else:
+        rooms = [config.env]
+    if config.env.channel.model == "file":
+        _check_channels(rooms)
     return config
 
 
@@ -63,6 +70,20 @@ def checked_yaml(text: str) -> Config:
         ConfigError: it does not fit this version.
     """
     return check(from_yaml(text))
+
+
+def _check_channels(rooms: Sequence[EnvConfig]) -> None:
+    """Checks that the file of channels fits each of the rooms, which may be alike.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    seen: list[EnvConfig] = []
+    for room in (dataclasses.replace(room, map_seed=0, plan="", robots=1) for room in rooms):
+        if room not in seen:
+            seen.append(room)
+            if found := channel_file.problems(room):
+                raise ConfigError.of(found)
 
 
 def _simulation_problems(config: Config) -> list[Problem]:

@@ -12,6 +12,7 @@ from env import plugins
 from env.config import EnvConfig, RisConfig, phase_actions
 from env.geometry.floor import Floor
 from env.radio import codebook, mounting, propagation
+from env.radio.channel_file import read_channels
 from env.seeding import Stream, stream
 
 MAX_TABLE = 2**20
@@ -98,13 +99,17 @@ def build_radio_map(config: EnvConfig, floor: Floor | None = None) -> RadioMap:
     Args:
         config: the environment.
         floor: its floor; made if None.
+
+    Raises:
+        PluginError: the user's channel model or file is not there or does not fit.
     """
     floor = floor or Floor.from_config(config)
     centres = floor.centres()
     at = np.column_stack([centres, np.full(len(centres), config.motion.antenna_height_m)])
     direct_los = mounting.sees(floor, config.ap.position_m, centres)
     ris_los = mounting.sees(floor, config.ris.position_m, centres)
-    own = plugins.own_channel(config, floor)
+    from_file = config.channel.model == "file"
+    own = read_channels(config, floor) if from_file else plugins.own_channel(config, floor)
     direct, reflected = own or (
         _direct(config, at, direct_los),
         _reflected(config, floor, at, ris_los),

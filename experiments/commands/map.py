@@ -19,8 +19,9 @@ from conf import ConfigError
 from conf.user_paths import user_path
 from env.config import EnvConfig
 from env.geometry.floor import Floor
+from env.radio.channel_file import write_channels
 from env.radio.codebook import Panel, factors
-from env.radio.propagation import phases
+from env.radio.propagation import phase_settings, phases
 from env.radio.radio_map import RadioMap, build_radio_map
 from env.rendering.drawing import best_gain_db, draw_floor
 from env.seeding import Stream, stream
@@ -43,8 +44,16 @@ def main(arguments: Sequence[str]) -> int:
         config = checked(given.overrides).env
         check_place("--json", given.json)
         check_place("--out", given.out)
-        if given.out and given.out.suffix != ".png":
-            raise ConfigError(f"--out {given.out}: allowed is a file that ends in .png.")
+        check_place("--channels", given.channels)
+        for option, file, ending in (
+            ("--out", given.out, ".png"),
+            ("--channels", given.channels, ".npz"),
+        ):
+            if file and file.suffix != ending:
+                raise ConfigError(f"{option} {file}: allowed is a file that ends in {ending}.")
+        if given.channels and config.ris.action == "codebook":
+            say = "phases with --channels: a file holds channels of sub-surfaces, and not of beams"
+            raise ConfigError.of([("env.ris.action", config.ris.action, say)])
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
@@ -57,6 +66,8 @@ def main(arguments: Sequence[str]) -> int:
         write_atomically(given.json, to_json(measures))
     if given.out:
         map_figure(config, radio_map).savefig(given.out, dpi=120)
+    if given.channels:
+        write_channels(given.channels, config, radio_map.direct, radio_map.reflected)
     return 0
 
 
@@ -70,24 +81,33 @@ def gains_db(config: EnvConfig, radio_map: RadioMap) -> Gains:
     Returns:
         Gains in dB: of the best phase that all elements share (the paper's N = 1); of a random
         phase for each element, the mean over ``DRAWS`` draws; of the configured actions, the best;
-        and the bound |hbar| + M |h| |g| of continuous phases. The response ``rayleigh`` has no
-        elements to set, and so neither random phases nor a bound.
+        and the bound |hbar| + M |h| |g| of continuous phases. The response ``rayleigh`` and a file
+        of channels have no elements to set, and so neither random phases nor a bound.
     """
     ris = config.ris
     direct_db = 20.0 * np.log10(np.abs(radio_map.direct))
-    common = dataclasses.replace(ris, action="phases", subsurfaces=1)
-    mirror = build_radio_map(dataclasses.replace(config, ris=common))
-    gains = {"one phase for all (N = 1)": best_gain_db(mirror) - direct_db}
-    each = _one_element(config)
-    if ris.response != "rayleigh":
+    gains = {"one phase for all (N = 1)": best_gain_db(_mirror(config, radio_map)) - direct_db}
+    has_elements = ris.response != "rayleigh" and config.channel.model != "file"
+    if has_elements:
+        each = _one_element(config)
         gains["random phases"] = _random_db(config, radio_map, each) - direct_db
     if ris.action == "codebook" or ris.subsurfaces > 1:
         name = "beams of the codebook" if ris.action == "codebook" else "phase settings"
         gains[f"{len(radio_map.settings)} {name}"] = best_gain_db(radio_map) - direct_db
-    if ris.response != "rayleigh":
+    if has_elements:
         bound = np.abs(radio_map.direct) + ris.side**2 * np.abs(each)
         gains["continuous phases, a bound"] = 20.0 * np.log10(bound) - direct_db
     return gains
+
+
+def _mirror(config: EnvConfig, radio_map: RadioMap) -> RadioMap:
+    """The map of a surface whose elements all share a phase."""
+    if config.channel.model == "file":  # which holds the channels of one N alone
+        together = radio_map.reflected.sum(axis=1, keepdims=True)
+        settings = phase_settings(config.ris.bits, 1)
+        return dataclasses.replace(radio_map, reflected=together, settings=settings)
+    common = dataclasses.replace(config.ris, action="phases", subsurfaces=1)
+    return build_radio_map(dataclasses.replace(config, ris=common))
 
 
 def _one_element(config: EnvConfig) -> NDArray[np.complex128]:
@@ -147,7 +167,8 @@ def map_figure(config: EnvConfig, radio_map: RadioMap) -> Figure:
 
 def _table(config: EnvConfig, measures: dict[str, dict[str, float | None]]) -> Table:
     ris = config.ris
-    title = f"Mean gain over no RIS in dB\n{ris.response}, M_R = {ris.side}, N_R = {2**ris.bits}"
+    response = "from a file" if config.channel.model == "file" else ris.response
+    title = f"Mean gain over no RIS in dB\n{response}, M_R = {ris.side}, N_R = {2**ris.bits}"
     table = Table(title=title, title_justify="left")
     table.add_column("phases")
     for column in ("all cells", "AP's shadow"):
@@ -166,6 +187,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="sets a key")
     parser.add_argument(
         "--out", type=user_path, metavar="FILE.png", help="draw the best gain over the floor there"
+    )
+    parser.add_argument(
+        "--channels",
+        type=user_path,
+        metavar="FILE.npz",
+        help="write the map's channels there, for env.channel.model=file",
     )
     parser.add_argument("--json", type=user_path, metavar="FILE", help="write the gains there too")
     return parser

@@ -206,7 +206,7 @@ def test_a_package_is_found_by_its_entry_points(install):
     ("key", "ours", "register", "function"),
     [
         ("reward", "paper", env.register_reward, squared),
-        ("channel", "indoor_hotspot", env.register_channel_model, ramp),
+        ("channel", "indoor_hotspot, file", env.register_channel_model, ramp),
     ],
 )
 def test_an_unknown_name_is_refused_with_those_that_there_are(key, ours, register, function):
