@@ -3,6 +3,7 @@
 import importlib.util
 import math
 import random
+import subprocess
 import sys
 
 import numpy as np
@@ -10,6 +11,15 @@ import pytest
 import torch
 
 from conf.overrides import FOLDER
+from env.checks import checked_config
+from env.geometry.floor import Floor
+from env.radio.propagation import (
+    array_factor,
+    element_offsets_m,
+    far_excess_m,
+    path_phase,
+    wavelength_m,
+)
 
 EXAMPLES = FOLDER.parent / "docs" / "examples"
 
@@ -117,3 +127,44 @@ def test_stable_baselines3_learns_to_arrive():
     _, before, after = example("sb3_dqn").train(12_000, seed=0, episodes=50)
     assert after.success >= before.success + 0.5
     assert after.reward > before.reward + 50
+
+
+def test_sionna_rt_in_free_space_gives_friis_and_plane_waves(tmp_path):
+    pytest.importorskip("sionna.rt", reason="sionna-rt is not installed")
+    room = {
+        "room": {"width_m": 6.0, "depth_m": 4.0, "cell_m": 1.0},
+        "walls": {"segments": []},
+        "ap": {"position_m": [3.0, 4.0, 2.0]},
+        "ris": {"position_m": [6.0, 2.0, 2.0], "side": 4, "subsurfaces": 2},
+        "tasks": {"destinations_m": [[0.5, 0.5]], "start_distance_m": 1.0},
+        "robots": 1,
+    }
+    overrides = [f"env.{key}={value}" for key, value in flat(room)]
+    file = tmp_path / "free.npz"
+    command = [sys.executable, str(EXAMPLES / "sionna_channels.py"), str(file), *overrides]
+    subprocess.run([*command, "--free-space", "--depth", "0"], check=True)
+    config = checked_config(room)
+    floor, length_m = Floor.from_config(config), wavelength_m(config.channel.frequency_ghz)
+    at = np.column_stack([floor.centres(), np.full(floor.cells, config.motion.antenna_height_m)])
+    ap, ris = np.array(config.ap.position_m), np.array(config.ris.position_m)
+
+    def friis(way_m):
+        return length_m / (4 * np.pi * way_m) * path_phase(way_m, length_m)
+
+    content = np.load(file)
+    direct = friis(np.linalg.norm(at - ap, axis=1))
+    assert content["direct"] == pytest.approx(direct, rel=1e-3)
+    offsets = element_offsets_m(4, length_m / 2, "y")
+    factor = array_factor(ap - ris, at - ris, offsets, 2, length_m, far_excess_m)
+    one = friis(np.linalg.norm(ap - ris)) * friis(np.linalg.norm(at - ris, axis=1))
+    expected = one[:, None] * factor
+    assert content["reflected"] == pytest.approx(expected, abs=1e-3 * np.abs(expected).max())
+
+
+def flat(values, above=""):
+    """Keys with dots and their values."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", str(value).replace(" ", "")
