@@ -53,4 +53,8 @@ with contextlib.suppress(ImportError):
     import gymnasium
 
     if SINGLE_ROBOT not in gymnasium.registry:
-        gymnasium.register(id=SINGLE_ROBOT, entry_point="env.apis.single_robot:SingleRobotEnv")
+        gymnasium.register(
+            id=SINGLE_ROBOT,
+            entry_point="env.apis.single_robot:SingleRobotEnv",
+            vector_entry_point="env.apis.single_robot_vector:SingleRobotVectorEnv",
+        )

@@ -186,23 +186,41 @@ class World:
         self._fading_sources = fading
         self._draw_fading()
 
-    def restart(self, worlds: NDArray[np.bool_]) -> None:
-        """Begins an episode in some of the worlds, from starts that are drawn, shape (B,)."""
+    def restart(
+        self,
+        worlds: NDArray[np.bool_],
+        start: NDArray[np.int64] | None = None,
+        fading: Sequence[np.random.Generator] | None = None,
+    ) -> None:
+        """Begins an episode in some of the worlds.
+
+        Args:
+            worlds: in which, shape (B,).
+            start: cells to start from, shape (n, K) for n such worlds; drawn if None.
+            fading: as of ``reset``, of the blocks of those worlds; for this slot alone.
+        """
         self.cell = self.cell.copy()  # whoever was given the arrays keeps what they held
-        self.cell[worlds] = self.draw_starts(int(np.count_nonzero(worlds)))
+        if start is None:
+            start = self.draw_starts(int(np.count_nonzero(worlds)))
+        self.cell[worlds] = start
         self.driving = self.driving | worlds[:, None]
         self.slot = np.where(worlds, 0, self.slot)
         if self._fading is not None:
             self._fading = self._fading.copy()
-            self._fading[worlds] = self._drawn_fading(self.cell[worlds], self.generator)
+            self._fading[worlds] = self._fading_from(fading, self.cell[worlds])
 
     def _draw_fading(self) -> None:
         """Draws the next slot's fading of hbar, if each slot has its own."""
-        if self.config.channel.fading != "slot":
-            return
-        sources = self._fading_sources or [self.generator]
-        blocks = zip(np.split(self.cell, len(sources)), sources, strict=True)
-        self._fading = np.concatenate([self._drawn_fading(*block) for block in blocks])
+        if self.config.channel.fading == "slot":
+            self._fading = self._fading_from(self._fading_sources, self.cell)
+
+    def _fading_from(
+        self, sources: Sequence[np.random.Generator] | None, cell: NDArray[np.int64]
+    ) -> NDArray[np.complex128]:
+        """A slot's fading in cells of equal blocks of worlds, each from its source."""
+        sources = sources or [self.generator]
+        blocks = zip(np.split(cell, len(sources)), sources, strict=True)
+        return np.concatenate([self._drawn_fading(*block) for block in blocks])
 
     def _drawn_fading(
         self, cell: NDArray[np.int64], source: np.random.Generator

@@ -15,6 +15,7 @@ from env.apis.parallel_env import AP, Infos, RISFleetParallelEnv
 from env.checks import checked_config
 from env.config import EnvConfig
 from env.oracles import per_slot
+from env.world import World
 
 ROBOT = "robot_0"
 OTHERS = ("shortest", "none")
@@ -120,11 +121,7 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         seed: int = 0,
         render_mode: str | None = None,
     ) -> None:
-        if others not in OTHERS:
-            raise ValueError(f"others={others!r}: allowed is {' or '.join(OTHERS)}")
-        config = checked_config(config)
-        if others == "none":
-            config = replace(config, robots=1, state=replace(config.state, others=0))
+        config = config_with(others, config)
         self._fleet = RISFleetParallelEnv(config, seed=seed, render_mode=render_mode)
         self.config = config
         self.render_mode = render_mode
@@ -159,15 +156,10 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     def _others_and_phase(self, action: np.int64) -> dict[str, Any]:
         """Everybody's actions: the robot's own, and those of the oracles given that."""
         world = self._fleet.world
-        space = world.scenario.actions
-        gain = per_slot.phase_gains(world)
-        level = per_slot.canonical_levels(gain, world.driving[:, None], space.levels)
-        level[..., 0] = space.decode(np.asarray(action))[1]
-        phase = int(per_slot.best_phase(world, level)[0])
-        direction = per_slot.shortest_directions(world)
-        codes = space.encode(direction, level[:, phase])[0]
+        phase, direction, level = everybodys_actions(world, np.array([action]))
+        codes = world.scenario.actions.encode(direction, level)[0]
         others = zip(self._fleet.robots[1:], codes[1:], strict=True)
-        return {ROBOT: action, AP: phase, **dict(others)}
+        return {ROBOT: action, AP: int(phase[0]), **dict(others)}
 
     def render(self) -> NDArray[np.uint8] | str | None:
         """The floor and the ways so far: a picture, shape (480, 480, 3), or lines of text."""
@@ -176,6 +168,44 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     def close(self) -> None:
         """Lets the picture go."""
         self._fleet.close()
+
+
+def config_with(others: str, config: EnvConfig | Mapping[str, Any] | None) -> EnvConfig:
+    """The checked configuration, of one robot with ``others="none"``.
+
+    Raises:
+        ValueError: a value is not allowed.
+    """
+    if others not in OTHERS:
+        raise ValueError(f"others={others!r}: allowed is {' or '.join(OTHERS)}")
+    config = checked_config(config)
+    if others == "none":
+        config = replace(config, robots=1, state=replace(config.state, others=0))
+    return config
+
+
+def everybodys_actions(
+    world: World, action: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """What is done in B worlds where robot 0 is the agent and oracles play all else.
+
+    Args:
+        world: B worlds; not changed.
+        action: robot 0's, shape (B,).
+
+    Returns:
+        The phases, shape (B,), and all robots' directions and power levels, shape (B, K).
+    """
+    space = world.scenario.actions
+    own_direction, own_level = space.decode(action)
+    level = per_slot.canonical_levels(
+        per_slot.phase_gains(world), world.driving[:, None], space.levels
+    )
+    level[..., 0] = own_level[:, None]
+    phase = per_slot.best_phase(world, level)
+    direction = per_slot.shortest_directions(world)
+    direction[:, 0] = own_direction
+    return phase, direction, level[np.arange(len(phase)), phase]
 
 
 def _info(infos: Infos, phase: int) -> dict[str, Any]:
