@@ -1,7 +1,8 @@
 """The world of RISFleet: physics on NumPy alone, and views for Gymnasium and PettingZoo.
 
-Importing ``env`` registers ``risfleet/SingleRobot-v0`` where Gymnasium is installed; the physics
-does not need it. The names below are imported when they are first used.
+Importing ``env`` registers ``risfleet/SingleRobot-v0`` where Gymnasium is installed, and
+``risfleet/Fleet-v0`` among PettingZoo's parallel environments where that has a registry (from 1.27
+on); the physics needs neither. The names below are imported when they are first used.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ __all__ = [
 ]
 
 SINGLE_ROBOT = "risfleet/SingleRobot-v0"
+FLEET = "risfleet/Fleet-v0"
 _HOMES = {
     "EnvConfig": "env.config",
     "RISFleetParallelEnv": "env.apis.parallel_env",
@@ -58,3 +60,9 @@ with contextlib.suppress(ImportError):
             entry_point="env.apis.single_robot:SingleRobotEnv",
             vector_entry_point="env.apis.single_robot_vector:SingleRobotVectorEnv",
         )
+
+with contextlib.suppress(ImportError):
+    from pettingzoo import parallel_registry, register  # type: ignore[import-untyped]
+
+    if FLEET not in parallel_registry:
+        register("parallel", FLEET, "env.apis.parallel_env:RISFleetParallelEnv")

@@ -39,8 +39,9 @@ RULES = {
     },
 }  # fmt: skip
 
-# The package registers a view with Gymnasium where that is installed, and names its views.
+# The package registers views with libraries that are installed, and names its views.
 PACKAGE = "env"
+REGISTRIES = {"gymnasium", "pettingzoo"}
 VIEWS = ("env.apis", "env.rendering")
 PHYSICS = [
     "env." + name
@@ -153,7 +154,7 @@ def in_circles(graph):
 @pytest.mark.parametrize("module", [*modules()])
 def test_a_module_imports_only_what_its_part_may(module):
     """Holds for lazy imports inside functions, too: a direction is a direction."""
-    allowed = RULES[rule_of(module)] | ({"gymnasium"} if module == PACKAGE else set())
+    allowed = RULES[rule_of(module)] | (REGISTRIES if module == PACKAGE else set())
     assert offences(module, modules()[module], allowed) == []
 
 

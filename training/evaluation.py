@@ -12,7 +12,7 @@ from env.episode import EpisodeAccumulator, EpisodeMeasures
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
-from training.controllers.policies import Exploration, PolicyWeights, frozen_policy
+from training.controllers.policies import Exploration, Policy, PolicyWeights, frozen_policy
 from training.controllers.service import Served
 
 
@@ -28,6 +28,7 @@ class Evaluator:
         scenario: the run's, to share; made if None.
         episodes: how many; ``config.evaluation.episodes`` if None.
         starts_seed: seed of the evaluation stream, the run's if None; destinations stay the run's.
+        policy: who decides, what the run's scheme says if None.
 
     Attributes:
         world: the world that is played in.
@@ -40,13 +41,14 @@ class Evaluator:
         scenario: Scenario | None = None,
         episodes: int | None = None,
         starts_seed: int | None = None,
+        policy: Policy | None = None,
     ) -> None:
         self.episodes = episodes or config.evaluation.episodes
         self._seed = config.seed if starts_seed is None else starts_seed
         scenario = scenario or Scenario.drawn(config.env, config.seed)
         self.world = World(scenario, stream(self._seed, Stream.EVALUATION), self.episodes)
         self.starts = self.world.draw_starts(self.episodes)
-        self._policy = frozen_policy(config, self.world)
+        self._policy = policy or frozen_policy(config, self.world)
 
     def play(
         self,

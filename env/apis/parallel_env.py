@@ -40,7 +40,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     ## Agents
 
-    ``robot_0`` ... ``robot_{K-1}`` and ``ap``. A robot that has arrived leaves ``agents``.
+    ``robot_0`` ... ``robot_{K-1}`` and ``ap``. A robot that has arrived leaves ``agents``. With
+    ``absorbing=True`` it stays there, for libraries in which no agent may leave: at its
+    destination, whatever action it is given, and paid 0.
 
     ## Action Space
 
@@ -108,10 +110,15 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     1. Termination: of a robot, when it arrives; of the access point, when all have.
     2. Truncation: of all that are left after T_max slots (150).
 
+    With ``absorbing=True`` an episode ends for all agents at once: terminated when all robots have
+    arrived, else truncated.
+
     Infos of a robot hold ``rate`` (bit/s/Hz), ``power_w``, ``gain_db`` (|h|^2 with the RIS),
     ``sic_failed`` and ``arrived`` of the slot, and ``shortest_slots``, the length of the way that
     is left; of the access point ``sum_rate``, ``projected`` and ``margin_dropped``. A reset has the
-    same keys: nothing has been sent, and ``gain_db`` is that of the direct channel.
+    same keys: nothing has been sent, and ``gain_db`` is that of the direct channel. With
+    ``absorbing=True`` all infos have ``action_mask``, int8, of which actions count: all of them,
+    and 0 alone, for want of none, once the robot has arrived; those of a robot also ``driving``.
 
     ## Arguments
 
@@ -120,6 +127,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
     | `config`      | `None`  | an `EnvConfig`, or what differs from it: `{"ris": {"side": 0}}` |
     | `seed`        | `0`     | names drawn destinations, and the starts until `reset(seed)`    |
     | `render_mode` | `None`  | `"rgb_array"`: a picture of the floor; `"ansi"`: text           |
+    | `absorbing`   | `False` | robots that have arrived stay among the agents, paid 0          |
 
     ## Version History
 
@@ -139,12 +147,13 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         *,
         seed: int = 0,
         render_mode: str | None = None,
+        absorbing: bool = False,
     ) -> None:
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             raise ValueError(f"render_mode={render_mode!r}: allowed is None, {', '.join(modes)}")
         self.config = checked_config(config)
-        self.render_mode = render_mode
+        self.render_mode, self.absorbing = render_mode, absorbing
         scenario = Scenario.drawn(self.config, seed)
         refuse(lateness.problems(self.config, scenario.destinations))
         self.world = World(scenario, stream(seed, Stream.WORLD))
@@ -215,7 +224,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self._way.append(self.world.cell[0])
         self._outcome = outcome
         ended = dict(zip(self.robots, outcome.arrived[0].tolist(), strict=True))
-        ended[AP] = bool(outcome.terminated[0])
+        over = ended[AP] = bool(outcome.terminated[0])
+        if self.absorbing:
+            ended = dict.fromkeys(ended, over)
         paid = dict(zip(self.robots, outcome.local_reward[0].tolist(), strict=True))
         paid[AP] = float(outcome.global_reward[0])
         out_of_time = bool(outcome.truncated[0])
@@ -231,7 +242,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
 
     def _action(self, agent: str, actions: Mapping[str, Any]) -> int:
         """The agent's action, checked; -1 for a robot that has arrived."""
-        if agent not in self.agents:
+        if agent != AP and not self.world.driving[0, self.robots.index(agent)]:
             return -1
         space = self.action_spaces[agent]
         action = actions.get(agent)
@@ -267,6 +278,16 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
             "projected": bool(sent.projected[0]) if sent else False,
             "margin_dropped": bool(sent.margin_dropped[0]) if sent else False,
         }
+        return self._masked(infos) if self.absorbing else infos
+
+    def _masked(self, infos: Infos) -> Infos:
+        """The infos with the actions that count for each agent, and which robots are driving."""
+        for name, info in infos.items():
+            info["action_mask"] = np.ones(self.action_spaces[name].n, dtype=np.int8)
+        for name, driving in zip(self.robots, self.world.driving[0].tolist(), strict=True):
+            infos[name]["driving"] = driving
+            if not driving:
+                infos[name]["action_mask"][1:] = 0
         return infos
 
     def render(self) -> NDArray[np.uint8] | str | None:
