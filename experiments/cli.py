@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if name in _USAGES and not {"-h", "--help"}.isdisjoint(rest):
         print(_USAGES[name])
         return 0
-    if hidden := _hidden_package():
+    if hidden := hidden_package():
         print(f"risfleet: {hidden}", file=sys.stderr)
         return 2
     from env.plugins import PluginError
@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _hidden_package() -> str:
+def hidden_package() -> str:
     """Which package of ours another one hides, in a sentence; empty if none does."""
     for name in PACKAGES:
         spec = find_spec(name)

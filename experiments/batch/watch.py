@@ -9,10 +9,12 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 from conf import Config
 from experiments.batch.states import cost_s, folder_of
 from experiments.console.display import RUNNING, Showing, share_done
+from experiments.console.screen import Cell
 from experiments.runtimes.stopping import ShieldedSignals
 from training.run_folder import RunFolder
 
@@ -53,7 +55,7 @@ class Watch(Showing):
 
     def _draw(self) -> None:
         columns = (BarColumn(40), TextColumn("{task.description}"), TimeElapsedColumn())
-        terminal = self._console.is_terminal
+        terminal, cell = self._console.is_terminal, Cell() if self._console.is_jupyter else None
         with Progress(*columns, console=self._console, transient=True, disable=not terminal) as bar:
             task = bar.add_task("", total=sum(self._costs_s.values()))
             printed = time.monotonic()
@@ -63,7 +65,9 @@ class Watch(Showing):
                 bar.update(
                     task, completed=self._worked_s(statuses), description=self._line(statuses)
                 )
-                if not terminal and time.monotonic() - printed >= LINE_PERIOD_S:
+                if cell is not None:
+                    cell.show(Text(self._line(statuses)))
+                elif not terminal and time.monotonic() - printed >= LINE_PERIOD_S:
                     printed = time.monotonic()
                     self._console.print(self._line(statuses), highlight=False, soft_wrap=True)
 

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from agent import single_threaded
-from conf import Config, ConfigError, has_rooms, learns_nothing, weight_shapes
+from conf import Config, ConfigError, has_rooms, learns_nothing
 from conf.user_paths import user_path
 from experiments.analysis import rooms
+from experiments.analysis.frozen import play, without_weights
 from experiments.console.arguments import check_place, not_negative, positive, run_folder, share
 from experiments.console.display import evaluation_table
 from storage.atomic import write_atomically
 from storage.strict_json import to_json
-from training.evaluation import Evaluator
-from training.preflight import checked
 
 EPSILONS = (0.0, 0.05)
 
@@ -58,40 +57,8 @@ def _results(given: argparse.Namespace) -> tuple[Config, dict[str, dict[str, flo
         raise ConfigError("--personalise is for the run of a building: allowed is none here.")
     config, robots, ap = _read(given.what)
     epsilons = _epsilons(config, given.epsilon)
-    return config, evaluate(config, robots, ap, given.episodes, epsilons, given.seed)
-
-
-def evaluate(
-    config: Config,
-    robots: NDArray[np.float32],
-    ap: NDArray[np.float32],
-    episodes: int | None,
-    epsilons: Sequence[float],
-    starts_seed: int | None = None,
-) -> dict[str, dict[str, float]]:
-    """Plays frozen weights.
-
-    Args:
-        config: the run's configuration.
-        robots: online weights of each robot, shape (K, P).
-        ap: online weights of the access point, shape (P_AP,).
-        episodes: how many; ``config.evaluation.episodes`` if None.
-        epsilons: explorations to play with.
-        starts_seed: picks the held-out starts and the exploration; the run's seed if None.
-
-    Returns:
-        From a column's name to its measures.
-
-    Raises:
-        ConfigError: an oracle cannot search this configuration.
-    """
-    single_threaded()
-    evaluator = Evaluator(config, episodes=episodes, starts_seed=starts_seed)
-    try:
-        measures = evaluator.play(robots, ap, epsilons)
-    except ValueError as error:
-        raise ConfigError(f"{error}.") from error
-    return {
+    measures = play(config, robots, ap, given.episodes, epsilons, given.seed)
+    return config, {
         f"eps = {epsilon:g}": found.summary()
         for epsilon, found in zip(epsilons, measures, strict=True)
     }
@@ -103,15 +70,7 @@ def _read(what: Sequence[str]) -> tuple[Config, NDArray[np.float32], NDArray[np.
     if folder is not None:
         config = folder.read_config()
         return config, *folder.read_weights(config)
-    config = checked(what)
-    if not learns_nothing(config):
-        raise ConfigError(
-            f"{' '.join(what)}: allowed without a run's folder is what learns nothing, such as"
-            " baseline=shortest_canonical."
-        )
-    shapes = weight_shapes(config)
-    none = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
-    return config, none["robots"][:, 0], none["ap"][0]
+    return without_weights(what)
 
 
 def _epsilons(config: Config, given: Sequence[float] | None) -> Sequence[float]:

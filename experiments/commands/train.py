@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from conf import Config, ConfigError
+from conf import ConfigError
 from conf.commented import commented_yaml
 from experiments.commands.sweep import train_all
-from experiments.runtimes.folders import new_folder
-from experiments.runtimes.runner import ERRORS, print_error, train
+from experiments.runtimes.runner import ERRORS, planned, print_error, train
 from training import resume
-from training.addresses import check_address
-from training.preflight import checked, checked_training
-from training.run_folder import RunFolder
+from training.preflight import checked
 
 FLAGS = ("-m", "--multirun", "--cfg")
 
@@ -28,13 +25,7 @@ def main(arguments: Sequence[str]) -> int:
             return 0
         if flags:
             return train_all(overrides)
-        if resume.asked(overrides):
-            config, checkpoint = resume.read(overrides)
-            _check_address(config)
-            return train(config, RunFolder.of(config).path, checkpoint)
-        config = checked_training(overrides)
-        _check_address(config)
-        return train(config, new_folder(config))
+        return train(*planned(overrides)).status
     except ERRORS as error:
         return print_error(error)
 
@@ -52,9 +43,3 @@ def _check_flags(flags: Sequence[str], *, resumes: bool) -> None:
         raise ConfigError("--cfg prints one configuration: allowed without -m and resume=RUN.")
     if flags and resumes:
         raise ConfigError("resume=RUN goes on with one run: allowed without -m.")
-
-
-def _check_address(config: Config) -> None:
-    """Checks the link's address, unless it is another machine's."""
-    if config.runtime.connection is None:
-        check_address(config)

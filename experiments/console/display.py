@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, Self
 
 from rich.console import Console
@@ -151,7 +152,7 @@ class Display(Showing):
         with Live(console=self._console, refresh_per_second=4, transient=True) as live:
             while not self._ended.wait(POLL_S):
                 if (status := self._folder.read_progress()) is not None:
-                    live.update(_panel(status))
+                    live.update(panel(status))
 
     def _print_lines(self) -> None:
         shown, printed = "", 0.0
@@ -172,7 +173,8 @@ class Display(Showing):
         self._console.print(line, **PLAIN)
 
 
-def _panel(status: dict[str, Any]) -> Table:
+def panel(status: dict[str, Any]) -> Table:
+    """A run's progress: a bar, and its figures below."""
     outer = Table.grid(padding=(0, 0))
     outer.add_row(ProgressBar(total=1.0, completed=share_done(status), width=60))
     figures = Table.grid(padding=(0, 2))
@@ -207,8 +209,8 @@ def _measure(key: str, value: float | None) -> str:
     return format(value, ".4f" if key == "ee" else ".3f")
 
 
-def show_summary(console: Console, summary: dict[str, Any], folder: RunFolder) -> None:
-    """The end of a run: what the policy is worth and where everything is."""
+def summary_table(summary: Mapping[str, Any]) -> Table:
+    """What the policy of a run is worth, from ``summary.json``."""
     evaluation = summary["evaluation"]
     rooms = summary.get("rooms")
     robots = summary["robots"] if rooms is None else rooms["robots"]
@@ -224,6 +226,11 @@ def show_summary(console: Console, summary: dict[str, Any], folder: RunFolder) -
     }
     if rooms is not None and "held_out" in rooms:
         columns["held-out rooms, greedy"] = rooms["held_out"]
-    console.print(evaluation_table(title, columns))
+    return evaluation_table(title, columns)
+
+
+def show_summary(console: Console, summary: Mapping[str, Any], folder: RunFolder) -> None:
+    """The end of a run: what the policy is worth and where everything is."""
+    console.print(summary_table(summary))
     for path in folder.results():
         console.print(f"  {path}", **PLAIN)

@@ -68,6 +68,12 @@ def prepare_run(config: Config, folder: Path) -> tuple[Config, RunFolder]:
     return dataclasses.replace(config, run=run), RunFolder(folder)
 
 
+def near(folder: Path) -> Path:
+    """A folder as it is called from the working folder, if it lies below that."""
+    here = Path.cwd()
+    return folder.relative_to(here) if folder.is_relative_to(here) else folder
+
+
 def made(folder: Path) -> Path:
     """Makes a folder, if it is not there; returns its absolute path.
 

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
 
 from conf import Config, ConfigError
 from env.plugins import PluginError
 from experiments.console import notices
-from experiments.console.display import Display, show_summary
+from experiments.console.display import show_summary
 from experiments.console.mishaps import in_words
 from experiments.console.plain import PLAIN
+from experiments.console.screen import Screen
 from experiments.flower import FlowerError
 from experiments.runtimes import local, on_flower
-from experiments.runtimes.folders import prepare_run, run_lock
+from experiments.runtimes.folders import near, new_folder, prepare_run, run_lock
 from experiments.runtimes.stopping import StopSignals
 from lockstep import LinkError
 from storage.checkpoint_files import CheckpointError, checkpoints
 from storage.checkpoint_layout import server_folder
 from training import resume
+from training.addresses import check_address
 from training.checkpoint import Checkpoint
+from training.preflight import checked_training
 from training.run_folder import RunFolder
 
 ERRORS = (ConfigError, PluginError, FlowerError, LinkError, CheckpointError, OSError)
@@ -49,42 +50,72 @@ def print_error(error: Exception) -> int:
     return 2 if isinstance(error, ConfigError | PluginError) else 1
 
 
-def train(config: Config, folder: Path, resumed: Checkpoint | None = None) -> int:
+def planned(overrides: Sequence[str]) -> tuple[Config, Path, Checkpoint | None]:
+    """The run that overrides describe, checked; or the one that ``resume=RUN`` names.
+
+    Returns:
+        The arguments of ``train``.
+
+    Raises:
+        ConfigError: a mistake of the user's, or a folder that is in use.
+    """
+    if resume.asked(overrides):
+        config, checkpoint = resume.read(overrides)
+        _check_address(config)
+        return config, RunFolder.of(config).path, checkpoint
+    config = checked_training(overrides)
+    _check_address(config)
+    return config, new_folder(config), None
+
+
+def _check_address(config: Config) -> None:
+    """Checks the link's address, unless it is another machine's."""
+    if config.runtime.connection is None:
+        check_address(config)
+
+
+def train(
+    config: Config,
+    folder: Path,
+    resumed: Checkpoint | None = None,
+    screen: Screen | None = None,
+) -> StopSignals:
     """Trains one run and shows it.
 
     Args:
         config: a checked configuration.
         folder: the run's folder, new or empty unless it goes on.
         resumed: where the run goes on, if it does not begin.
+        screen: how it is shown; as on a command line if None.
 
     Returns:
-        0, or what ``StopSignals.status`` says if a signal ended the run early.
+        Whether a signal ended the run early.
     """
-    console = Console()
-    config, own = _shown(config, folder, console)
+    screen = screen or Screen()
+    config, own = _shown(config, folder, screen)
     with run_lock(own.path):
         if resumed is not None:
             own.clear()
-        return _train_shown(config, own, resumed, console)
+        return _train_shown(config, own, resumed, screen)
 
 
-def train_missing(config: Config) -> int:
+def train_missing(config: Config, screen: Screen | None = None) -> StopSignals | None:
     """Trains and shows what the run in ``run.dir`` still misses, which may be all or nothing.
 
     Returns:
-        See ``train``.
+        See ``train``; None if nothing was missing.
 
     Raises:
         ConfigError: the folder holds another run, or another process goes on in it.
     """
-    console = Console()
-    config, folder = _shown(config, RunFolder.of(config).path, console)
+    screen = screen or Screen()
+    config, folder = _shown(config, RunFolder.of(config).path, screen)
     with run_lock(folder.path):
         config, found = _ready(config, folder)
         if isinstance(found, dict):
-            console.print("done before", highlight=False)
-            return 0
-        return _train_shown(config, folder, found, console)
+            screen.console.print("done before", highlight=False)
+            return None
+        return _train_shown(config, folder, found, screen)
 
 
 def train_quietly(config: Config) -> dict[str, Any]:
@@ -125,34 +156,36 @@ def _ready(config: Config, folder: RunFolder) -> tuple[Config, dict[str, Any] | 
 
 
 def _train_shown(
-    config: Config, folder: RunFolder, resumed: Checkpoint | None, console: Console
-) -> int:
+    config: Config, folder: RunFolder, resumed: Checkpoint | None, screen: Screen
+) -> StopSignals:
     """Trains a run whose folder is held, with progress and signals."""
+    console = screen.console
     if resumed is not None:
         for reason in resumed.passed_over:
             console.print(f"passed over: {reason}", **PLAIN)
         console.print(f"going on from window {resumed.window}", highlight=False)
-    with StopSignals([folder.stop_file], console) as stop, Display(folder, console):
+    with StopSignals([folder.stop_file], console) as stop, screen.display(folder, console):
         try:
             summary = RUNTIMES[config.runtime.name](config, folder, resumed)
         except ERRORS as error:
             if checkpoints(server_folder(folder.state)):
                 error.add_note(f"To go on: {resume.how(folder.path)}")
             raise
-    if summary:
-        show_summary(console, summary, folder)
-    else:
+    if not summary:
         console.print("The run has ended; its folder is on the machine of the ServerApp.")
+    elif not screen.in_notebook:
+        show_summary(console, summary, folder)
     if stop.asked:
         console.print(
             f"Stopped early by {stop.name}: what was learned until then is in the run folder."
         )
-    return stop.status
+    return stop
 
 
-def _shown(config: Config, folder: Path, console: Console) -> tuple[Config, RunFolder]:
+def _shown(config: Config, folder: Path, screen: Screen) -> tuple[Config, RunFolder]:
     """See ``prepare_run``; says where the run is."""
     config, own = prepare_run(config, folder)
-    console.print(f"run folder: {own}", **PLAIN)
-    notices.show(config, console)
+    where = near(own.path) if screen.in_notebook else own
+    screen.console.print(f"run folder: {where}", **PLAIN)
+    notices.show(config, screen.console)
     return config, own

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import signal
+import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing import resource_tracker
@@ -19,6 +20,8 @@ NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 
 class StopSignals:
     """A first signal asks runs to end at their next aggregation; a second one ends them at once.
+
+    Python hands signals to its main thread alone: in any other, nothing is taken over.
 
     Args:
         files: the files that runs look for at each aggregation.
@@ -50,7 +53,8 @@ class StopSignals:
     def __enter__(self) -> Self:
         """Takes the signals over."""
         self._forget()  # what a call that was killed has left
-        self._before = {number: signal.signal(number, self._on_signal) for number in STOPPING}
+        taken = STOPPING if threading.current_thread() is threading.main_thread() else ()
+        self._before = {number: signal.signal(number, self._on_signal) for number in taken}
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -74,6 +78,16 @@ class StopSignals:
     def _forget(self) -> None:
         for file in self._files:
             file.unlink(missing_ok=True)
+
+
+def pass_on(status: int) -> None:
+    """Raises SIGTERM once more where it has ended runs: the process, too, is to end.
+
+    Args:
+        status: see ``StopSignals.status``.
+    """
+    if status == 128 + signal.SIGTERM:
+        signal.raise_signal(signal.SIGTERM)
 
 
 class ShieldedSignals(StopSignals):

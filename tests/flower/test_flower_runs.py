@@ -412,7 +412,7 @@ def test_a_link_port_that_is_taken_after_the_check_fails_the_run_by_its_number(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("experiments.commands.train.check_address", lambda config: None)
+    monkeypatch.setattr("experiments.runtimes.runner.check_address", lambda config: None)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert train("run", "runtime=simulation", f"federation.link.port={port}") == 1

@@ -1,0 +1,118 @@
+"""Where a run is shown: on a terminal, in a notebook's cell, to a function, or nowhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Self
+
+from rich.console import Console, RenderableType
+from rich.text import Text
+
+from experiments.console.display import POLL_S, Display, Showing, panel
+from training.run_folder import RunFolder
+
+Reporter = Callable[[dict[str, Any]], object]
+"""Takes what a run last said of its progress, see ``RunFolder.read_progress``."""
+
+
+@dataclass(frozen=True)
+class Screen:
+    """How a run is shown.
+
+    Attributes:
+        console: where all is printed that is said once.
+        display: shows the run's progress while it is entered.
+        in_notebook: whether it is a cell, which shows what the run is worth by itself.
+    """
+
+    console: Console = field(default_factory=Console)
+    display: Callable[[RunFolder, Console], AbstractContextManager[object]] = Display
+    in_notebook: bool = False
+
+
+def screen_of(progress: bool | Reporter) -> Screen:
+    """The screen that a caller of Python asks for.
+
+    Args:
+        progress: True for a terminal's or a notebook's, False for none, or a function that is
+            called with the progress.
+    """
+    if callable(progress):
+        return Screen(Console(quiet=True), partial(Reports, progress))
+    if not progress:
+        return Screen(Console(quiet=True), _nothing)
+    console = Console()
+    if console.is_jupyter:
+        return Screen(console, CellDisplay, in_notebook=True)
+    return Screen(console)
+
+
+def _nothing(folder: RunFolder, console: Console) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
+class Cell:
+    """An output of a notebook's cell that changes in its place."""
+
+    def __init__(self) -> None:
+        self._handle: Any = None
+
+    def show(self, what: RenderableType) -> None:
+        """Shows something of ``rich`` in the place of what was shown before."""
+        from IPython.display import display  # there, since a notebook is
+
+        if self._handle is None:
+            self._handle = display(what, display_id=True)  # type: ignore[no-untyped-call]
+        else:
+            self._handle.update(what)
+
+
+class CellDisplay(Showing):
+    """Shows a run's progress in a notebook's cell, where its last state stays.
+
+    Args:
+        folder: the run's.
+        console: not used: what changes has no place there.
+    """
+
+    def __init__(self, folder: RunFolder, console: Console) -> None:
+        super().__init__("cell")
+        self._folder, self._cell = folder, Cell()
+
+    def __enter__(self) -> Self:
+        """Takes its place in the cell that is running now, and begins to show."""
+        self._cell.show(Text("starting"))
+        return super().__enter__()
+
+    def _run(self) -> None:
+        ended = False
+        while not ended:
+            ended = self._ended.wait(POLL_S)
+            if (status := self._folder.read_progress()) is not None:
+                self._cell.show(panel(status))
+
+
+class Reports(Showing):
+    """Tells a function how a run goes on, whenever that changes, and at its end.
+
+    Args:
+        tell: the function.
+        folder: the run's.
+        console: not used.
+    """
+
+    def __init__(self, tell: Reporter, folder: RunFolder, console: Console) -> None:
+        super().__init__("reports")
+        self._tell, self._folder = tell, folder
+
+    def _run(self) -> None:
+        ended, told = False, None
+        while not ended:
+            ended = self._ended.wait(POLL_S)
+            status = self._folder.read_progress()
+            if status is not None and status != told:
+                told = status
+                self._tell(dict(status))
