@@ -82,7 +82,7 @@ def frozen_policy(config: Config, world: World) -> Policy:
     return _Federated(config)
 
 
-class _Robots:
+class RobotNetworks:
     """The robots' networks: every one explores by itself."""
 
     def __init__(self, config: Config) -> None:
@@ -92,10 +92,10 @@ class _Robots:
         self, local: NDArray[np.float32], weights: NDArray[np.float32], exploration: Exploration
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Directions and power picks for states (B, K, local_size)."""
-        action = exploration(self._best(local, weights), self._shape.actions)
+        action = exploration(self.best(local, weights), self._shape.actions)
         return self._actions.decode(action)
 
-    def _best(self, local: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.int64]:
+    def best(self, local: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.int64]:
         """Greedy actions, shape (B, K)."""
         worlds, count, size = local.shape
         if len(weights) == 1:
@@ -109,7 +109,7 @@ class _Federated:
     """F-DRL: the access point's network, and the robots'."""
 
     def __init__(self, config: Config) -> None:
-        self._ap, self._robots = ap_network(config), _Robots(config)
+        self._ap, self._robots = ap_network(config), RobotNetworks(config)
         self._service = Service(config)
 
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
@@ -128,7 +128,7 @@ class _Ruled:
 
     def __init__(self, config: Config, world: World) -> None:
         self._rule, self._drive = config.scheme.phase, config.scheme.robots
-        self._robots, self._service = _Robots(config), Service(config)
+        self._robots, self._service = RobotNetworks(config), Service(config)
         fixed = fixed_phase(world, config.env.map_seed) if self._rule == "fixed" else 0
         self._fixed = np.array(fixed)
 

@@ -11,6 +11,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from storage.atomic import naming, write_atomically
 from storage.checkpoint_files import CheckpointError
 from training.run_folder import RunFolder
@@ -81,6 +84,25 @@ def _read_rows(path: Path, count: int) -> list[dict[str, float]]:
     if len(rows) < count:
         raise CheckpointError(f"{path} has {len(rows)} rows where the checkpoint has {count}")
     return [{name: _number(text) for name, text in row.items()} for row in rows]
+
+
+def read_columns(path: Path) -> dict[str, NDArray[Any]]:
+    """The columns of a CSV file of numbers, which may still grow; whole numbers stay whole.
+
+    Returns:
+        By name, each of shape (rows,); nan where a value is missing.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: something in it is no number.
+    """
+    text = path.read_text(encoding="utf-8-sig")
+    rows = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1], newline=""))
+    columns: dict[str, list[float]] = {name: [] for name in rows.fieldnames or ()}
+    for row in rows:
+        for name, values in columns.items():
+            values.append(_number(row[name] or "nan"))
+    return {name: np.array(values) for name, values in columns.items()}
 
 
 def _number(text: str) -> float:
