@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 OURS = {
     "env", "agent", "storage", "lockstep", "conf", "training", "server_app", "client_app",
-    "experiments", "benchmarks", "tools", "tests",
+    "experiments", "risfleet", "benchmarks", "tools", "tests",
 }  # fmt: skip
 # Files that a reader is asked to write, or that commands make.
 THEIRS = {

@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 OURS = (
     "env", "storage", "agent", "lockstep", "conf", "training", "client_app", "server_app",
-    "experiments",
+    "experiments", "risfleet",
 )  # fmt: skip
 A_RUN = {"training", "lockstep", "env", "agent", "conf", "storage"}
 
@@ -35,8 +35,9 @@ RULES = {
     "server_app": {"server_app", *A_RUN, "flwr", "numpy", "cryptography"},
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
-        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography", "psutil",
+        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography", "psutil", "IPython",
     },
+    "risfleet": {*OURS, "numpy", "pandas", "rich"},
 }  # fmt: skip
 
 # The package registers views with libraries that are installed, and names its views.

@@ -1,0 +1,93 @@
+"""RISFleet from Python: train, look at what came of it, evaluate, act, sweep.
+
+| name | what it is |
+|---|---|
+| `train`, `sweep` | trains a run, or one for each combination of values |
+| `load`, `Run` | a run's folder: configuration, measures, frozen weights |
+| `evaluate`, `Evaluation` | what learns nothing on held-out starts, and what an evaluation found |
+| `Policy` | frozen networks: from observations to actions |
+| `compose`, `Config`, `ConfigError` | a checked configuration; the error of every mistake in one |
+| `make_env`, `RISFleetParallelEnv`, `SingleRobotEnv` | the world, to step through by yourself |
+| `register_reward`, `register_channel_model` | models of your own |
+
+These names are stable; the packages beside this one are where they come from, and may change. They
+are imported when they are first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from conf import Config, ConfigError
+    from env import (
+        RISFleetParallelEnv,
+        SingleRobotEnv,
+        register_channel_model,
+        register_reward,
+    )
+    from risfleet.runs import Evaluation, Run, evaluate, load
+    from risfleet.training import SweepError, compose, make_env, sweep, train
+    from training.policy import AccessPointPolicy, Policy
+
+    __version__: str
+
+__all__ = [
+    "AccessPointPolicy",
+    "Config",
+    "ConfigError",
+    "Evaluation",
+    "Policy",
+    "RISFleetParallelEnv",
+    "Run",
+    "SingleRobotEnv",
+    "SweepError",
+    "__version__",
+    "compose",
+    "evaluate",
+    "load",
+    "make_env",
+    "register_channel_model",
+    "register_reward",
+    "sweep",
+    "train",
+]
+
+_HOMES = {
+    "AccessPointPolicy": "training.policy",
+    "Config": "conf",
+    "ConfigError": "conf",
+    "Evaluation": "risfleet.runs",
+    "Policy": "training.policy",
+    "RISFleetParallelEnv": "env",
+    "Run": "risfleet.runs",
+    "SingleRobotEnv": "env",
+    "SweepError": "risfleet.training",
+    "compose": "risfleet.training",
+    "evaluate": "risfleet.runs",
+    "load": "risfleet.runs",
+    "make_env": "risfleet.training",
+    "register_channel_model": "env",
+    "register_reward": "env",
+    "sweep": "risfleet.training",
+    "train": "risfleet.training",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version(__name__)
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from experiments.cli import hidden_package
+
+    if hidden := hidden_package():
+        raise ImportError(hidden)
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__
