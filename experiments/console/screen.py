@@ -25,7 +25,8 @@ class Screen:
     Attributes:
         console: where all is printed that is said once.
         display: shows the run's progress while it is entered.
-        in_notebook: whether it is a cell, which shows what the run is worth by itself.
+        in_notebook: whether it is a cell, where a run is an object that knows its folder and
+            shows what it is worth.
     """
 
     console: Console = field(default_factory=Console)

@@ -17,7 +17,7 @@ from experiments.console.plain import PLAIN
 from experiments.console.screen import Screen
 from experiments.flower import FlowerError
 from experiments.runtimes import local, on_flower
-from experiments.runtimes.folders import near, new_folder, prepare_run, run_lock
+from experiments.runtimes.folders import new_folder, prepare_run, run_lock
 from experiments.runtimes.stopping import StopSignals
 from lockstep import LinkError
 from storage.checkpoint_files import CheckpointError, checkpoints
@@ -185,7 +185,7 @@ def _train_shown(
 def _shown(config: Config, folder: Path, screen: Screen) -> tuple[Config, RunFolder]:
     """See ``prepare_run``; says where the run is."""
     config, own = prepare_run(config, folder)
-    where = near(own.path) if screen.in_notebook else own
-    screen.console.print(f"run folder: {where}", **PLAIN)
+    if not screen.in_notebook:
+        screen.console.print(f"run folder: {own}", **PLAIN)
     notices.show(config, screen.console)
     return config, own

@@ -1,0 +1,57 @@
+"""Executes a notebook where it stands and keeps what it shows, without dates of runs.
+
+``python -m tools.notebooks docs/examples/first_run.ipynb``
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tempfile
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from nbformat import NotebookNode
+
+PATIENCE_S = 900
+METADATA = {
+    "kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"},
+    "language_info": {"name": "python"},
+}
+RUN = re.compile(r"runs/[\d_-]+-k\d+-s\d+")
+
+
+def executed(notebook: NotebookNode, folder: Path) -> NotebookNode:
+    """Executes all cells of a notebook in their order.
+
+    Args:
+        notebook: gets the outputs.
+        folder: the working folder.
+
+    Returns:
+        The same notebook.
+    """
+    client = NotebookClient(
+        notebook,
+        timeout=PATIENCE_S,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(folder)}},
+        record_timing=False,
+    )
+    client.execute()
+    notebook.metadata = nbformat.from_dict(METADATA)
+    return notebook
+
+
+def main() -> int:
+    """Executes the notebooks that the command line names."""
+    for path in map(Path, sys.argv[1:]):
+        with tempfile.TemporaryDirectory() as folder:
+            notebook = executed(nbformat.read(path, as_version=4), Path(folder))
+        path.write_text(RUN.sub("runs/NAME", nbformat.writes(notebook)) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
