@@ -164,7 +164,13 @@ class RunConfig:
     dir: Annotated[str | None, "null makes a new folder below runs/"] = None
     id: Annotated[str | None, "null draws one; it names the robots' state on their nodes"] = None
     figures: bool = True
-    tensorboard: bool = True
+    tensorboard: Annotated[bool, "a tracker, as the next two; any of them together"] = True
+    wandb: Annotated[bool, "offline, into the run's folder, unless WANDB_MODE says otherwise"] = (
+        False
+    )
+    mlflow: Annotated[bool, "into the run's folder, unless MLFLOW_TRACKING_URI says otherwise"] = (
+        False
+    )
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from training.addresses import check_address, uses_tls
 from training.checkpoint import Checkpoint
 from training.engine_limits import default_concurrency
 from training.partition import step_layout
-from training.preflight import checked, checked_yaml
+from training.preflight import check_trackers, checked, checked_yaml
 from training.run_folder import RunFolder
 
 NODES_PATIENCE_S = 2.0
@@ -97,6 +97,7 @@ def _asked(given: list[str]) -> tuple[Config, Checkpoint | None]:
         config = checked(["runtime=simulation", *given])
     if config.runtime.name == "local":
         raise ConfigError("runtime=local: allowed on Flower are simulation and deployment.")
+    check_trackers(config)
     return config, resumed
 
 

@@ -101,6 +101,7 @@ class BuildingRun:
             trained_s = recorder.end_training()
             recorder.report("finishing", self.progress)
             summary = self._finish(trained_s, stopped=stopped)
+            recorder.finish(summary)
             recorder.report("done", self.progress)
         finally:
             recorder.close()
@@ -258,7 +259,6 @@ class BuildingRun:
                 both = self._first_ap(room)
             place.write_weights(np.array(robots), both)
         self.recorder.write_scores(self.progress, scores)
-        self.recorder.close()
         aps = [self._aps[index].ravel() for index in sorted(self._aps)]
         digests = {
             "robots": digest(self._model),

@@ -19,6 +19,7 @@ from env.config import EnvConfig
 from env.radio import channel_file
 from env.validate import Problem
 from training.engine_limits import max_concurrent_clients
+from training.recording import tracking
 
 
 def check(config: Config) -> Config:
@@ -57,10 +58,21 @@ def checked_training(overrides: Sequence[str]) -> Config:
         ConfigError: a wrong key, value or combination, or nothing learns.
     """
     config = checked(overrides)
+    check_trackers(config)
     if learns_nothing(config):
         say = "learned here: with it nothing learns, and risfleet evaluate plays it"
         raise ConfigError.of([("scheme.robots", config.scheme.robots, say)])
     return config
+
+
+def check_trackers(config: Config) -> None:
+    """Checks that the trackers that a run has chosen are installed where it is recorded.
+
+    Raises:
+        ConfigError: one is not; that of another machine's ServerApp cannot be told from here.
+    """
+    if config.runtime.connection is None and (found := tracking.problems(config.run)):
+        raise ConfigError.of(found)
 
 
 def checked_yaml(text: str) -> Config:

@@ -24,7 +24,7 @@ from conf.user_paths import RESUME, pasted, resumed_folder
 from env.texts import read_text
 from storage.checkpoint_files import CheckpointError
 from training.checkpoint import Checkpoint, latest
-from training.preflight import check
+from training.preflight import check, check_trackers
 from training.recording.csv_log import check_files
 from training.run_folder import RunFolder
 
@@ -58,8 +58,8 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
         Its configuration, ``run.dir`` being where the run is now, and its newest whole checkpoint.
 
     Raises:
-        ConfigError: there is no such run or checkpoint, it is another version's, it has ended, or
-            another key is set.
+        ConfigError: there is no such run or checkpoint, it is another version's, it has ended,
+            another key is set, or a tracker of it is not installed.
     """
     folder = _folder(overrides)
     rest = [item for item in overrides if resumed_folder(item) is None]
@@ -70,6 +70,7 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
                 " is the run's own."
             )
     config = _config(folder, rest)
+    check_trackers(config)
     try:
         checkpoint = _checkpoint(folder, config)
     except CheckpointError as error:

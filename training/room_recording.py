@@ -107,8 +107,8 @@ class BuildingRecorder(Recorder):
     def write_scores(self, progress: Progress, scores: Sequence[RoomScore]) -> None:
         """Writes two rows of ``rooms.csv`` for each room: with exploration, and greedy.
 
-        TensorBoard gets means, and each of the rooms that are evaluated on the way. The folder of
-        each room gets an episode to show.
+        Trackers get means, and each of the rooms that are evaluated on the way. The folder of each
+        room gets an episode to show.
         """
         every = self._config.rooms.every
         followed = {room.name for room in self._rooms_evaluator.rooms}

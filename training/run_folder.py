@@ -135,6 +135,16 @@ class RunFolder:
         """The folder of TensorBoard's events."""
         return self.path / "tensorboard"
 
+    @property
+    def wandb(self) -> Path:
+        """The folder that W&B makes for itself."""
+        return self.path / "wandb"
+
+    @property
+    def mlflow(self) -> Path:
+        """The folder of MLflow's database, unless the user names another."""
+        return self.path / "mlflow"
+
     # --- What is there ----------------------------------------------------------------------------
 
     @property
@@ -164,6 +174,8 @@ class RunFolder:
             self.rooms_log_file,
             self.weights_file,
             self.tensorboard,
+            self.wandb,
+            self.mlflow,
         ]
         return sorted(p for p in (*named, *self.figures.glob("*.png")) if p.exists())
 
@@ -178,7 +190,8 @@ class RunFolder:
         for path in stale + (recorded if whole else []):
             path.unlink(missing_ok=True)
         if whole:
-            shutil.rmtree(self.tensorboard, ignore_errors=True)
+            for tracked in (self.tensorboard, self.wandb, self.mlflow):
+                shutil.rmtree(tracked, ignore_errors=True)
 
     # --- Configuration, summary, weights ----------------------------------------------------------
 

@@ -127,6 +127,7 @@ class TrainingRun:
             trained_s = self.recorder.end_training()
             self.recorder.report("finishing", run.progress)
             summary = self._finish(run, robots, trained_s, shared=aggregator is not None)
+            self.recorder.finish(summary)
             self.recorder.report("done", run.progress)
         except BaseException:
             with suppress(OSError):  # of a full disk: the error that stands is the first

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 PASS = "RISFLEET_PASS"
 """The variable by which a user names further ones, with commas between them."""
@@ -29,6 +30,8 @@ CHOSEN = (
     *("MALLOC_*", "GLIBC_TUNABLES"),
     # Accelerators.
     *("CUDA_*", "CUBLAS_*", "CUDNN_*", "NCCL_*", "NVIDIA_*", "HIP_*", "HSA_*", "ROCR_*"),
+    # Where trackers record a run, and as what.
+    *("WANDB_*", "MLFLOW_*"),
     # What figures look like, what tests measure, what is ours, and what a user's plug-in reads.
     *("MPLCONFIGDIR", "MATPLOTLIBRC", "COVERAGE_*", "COV_CORE_*", "RISFLEET_*"),
 )
@@ -51,10 +54,19 @@ def chosen(variables: Mapping[str, str] | None = None) -> dict[str, str]:
     named = (name.strip() for name in given.get(PASS, "").split(","))
     patterns = (*CHOSEN, *filter(None, named))
     return {
-        name: value
+        name: _from_anywhere(name, value)
         for name, value in given.items()
         if any(fnmatchcase(name, pattern) for pattern in patterns) and not is_proxy(name)
     }
+
+
+def _from_anywhere(name: str, value: str) -> str:
+    """A variable as processes need it that work in a folder of their own."""
+    database = "sqlite:///"
+    path = value.removeprefix(database)
+    if name != "MLFLOW_TRACKING_URI" or path == value or path.startswith("/"):
+        return value
+    return f"{database}{Path.cwd() / path}"
 
 
 def is_proxy(name: str) -> bool:

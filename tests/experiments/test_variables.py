@@ -52,6 +52,8 @@ NEEDED = {
     "VIRTUAL_ENV": "/home/ada/venv",
     "COVERAGE_PROCESS_START": "/home/ada/.coveragerc",
     "RISFLEET_CHAOS": "a mark",
+    "WANDB_MODE": "online",
+    "MLFLOW_TRACKING_URI": "http://127.0.0.1:9",
 }
 
 
@@ -102,6 +104,22 @@ def test_a_sessions_processes_see_what_a_user_needs(desktop: None, session: Sess
 def test_a_variable_that_nobody_has_thought_of_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOMETHING_NEW", "x")
     assert "SOMETHING_NEW" not in variables.chosen()
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ("sqlite:///mine.db", "sqlite:///{here}/mine.db"),
+        ("sqlite:////data/all.db", "sqlite:////data/all.db"),
+        ("http://127.0.0.1:9", "http://127.0.0.1:9"),
+    ],
+)
+def test_a_database_of_mlflow_lies_where_the_user_is(
+    given: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    passed_on = variables.chosen({"MLFLOW_TRACKING_URI": given})
+    assert passed_on == {"MLFLOW_TRACKING_URI": found.format(here=tmp_path)}
 
 
 def test_what_is_passed_on_is_documented() -> None:

@@ -17,7 +17,7 @@ FILES = (
     "config.yaml", "summary.json", "progress.json", "metrics.csv", "evaluations.csv",
     "episode.json", "weights.safetensors", "flower.log", "rooms.json", "rooms.csv",
 )  # fmt: skip
-PLAIN = ("stop", "state", "figures", "tensorboard")
+PLAIN = ("stop", "state", "figures", "tensorboard", "wandb", "mlflow")
 """Names that are words, too: these are names only where a path is made of them."""
 
 
@@ -64,11 +64,11 @@ def test_a_run_that_goes_on_keeps_its_records_and_one_that_begins_again_does_not
     folder = RunFolder(tmp_path)
     for path in (folder.progress_file, folder.summary_file, folder.metrics_file, folder.stop_file):
         path.touch()
-    folder.tensorboard.mkdir()
+    tracked = {folder.tensorboard, folder.wandb, folder.mlflow}
+    for path in tracked:
+        path.mkdir()
     folder.clear(whole=whole)
-    kept = {folder.stop_file} if whole else {
-        folder.stop_file, folder.metrics_file, folder.tensorboard
-    }  # fmt: skip
+    kept = {folder.stop_file} if whole else {folder.stop_file, folder.metrics_file, *tracked}
     assert {*tmp_path.iterdir()} == kept
 
 

@@ -16,6 +16,7 @@ from training.evaluation import Evaluator
 from training.recording.csv_log import CsvLog
 from training.recording.history import EVALUATIONS, METRICS, History, episode_row, evaluate, mean
 from training.recording.progress import Progress
+from training.recording.tracking import Trackers
 from training.run_folder import RunFolder
 
 PROGRESS_PERIOD_S = 0.5
@@ -26,9 +27,9 @@ log = logging.getLogger(__name__)
 class Recorder:
     """Watches a run, implements ``progress.Observer``.
 
-    What the run is to leave behind must be written. ``progress.json``, ``episode.json`` and the
-    events of TensorBoard only show it to whoever watches: where they fail, that is said once, and
-    the run goes on.
+    What the run is to leave behind must be written. ``progress.json``, ``episode.json`` and
+    experiment trackers only show it to whoever watches: where they fail, that is said once, and the
+    run goes on.
 
     Args:
         config: the run's configuration.
@@ -77,7 +78,8 @@ class Recorder:
         rows = self._evaluations.kept
         self.history = History(self._metrics.kept, rows[::2], rows[1::2])
         undone = max([-1, *(int(row["tick"]) for row in (*self.history.episodes, *rows))]) + 1
-        self._events = _event_writer(folder, undone) if config.run.tensorboard else None
+        self._trackers = Trackers.of(config, folder, undone)
+        self._trackers.start(config)
         tick = int(self.history.episodes[-1]["tick"]) if self.history.episodes else 0
         self.report("starting", Progress(tick, 0, len(self.history.episodes)))
 
@@ -201,45 +203,20 @@ class Recorder:
             "clients": self.clients(),
         }
 
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Tells trackers what the run has come to."""
+        self._trackers.finish(summary)
+
     def close(self) -> None:
         """Flushes and closes what is open; safe to call again."""
         self._metrics.close()
         self._evaluations.close()
-        if self._events is not None:
-            try:
-                self._events.close()
-            except Exception as error:
-                self._give_up_events(error)
+        self._trackers.finish()
 
     def _log_events(self, group: str, row: dict[str, float], tick: int) -> None:
-        if self._events is None:
-            return
-        try:
-            for name, value in row.items():
-                if name not in ("episode", "tick") and np.isfinite(value):
-                    self._events.add_scalar(f"{group}/{name}", value, tick)
-        except Exception as error:
-            self._give_up_events(error)
-
-    def _give_up_events(self, error: Exception) -> None:
-        self._events = None
-        _warn_of_events(error)
-
-
-def _event_writer(folder: RunFolder, first: int) -> Any:
-    """Writes events; those of an earlier attempt from the tick ``first`` on no longer count.
-
-    None where that cannot be done.
-    """
-    try:
-        from torch.utils.tensorboard import SummaryWriter  # slow: only where it is wanted
-
-        return SummaryWriter(str(folder.tensorboard), purge_step=first or None)
-    except Exception as error:
-        _warn_of_events(error)
-        return None
-
-
-def _warn_of_events(error: Exception) -> None:
-    why = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-    log.warning("no events for TensorBoard from here on: %s", why)
+        scalars = {
+            f"{group}/{name}": float(value)
+            for name, value in row.items()
+            if name not in ("episode", "tick") and np.isfinite(value)
+        }
+        self._trackers.log(tick, scalars)
