@@ -5,6 +5,7 @@
 | `train`, `sweep` | trains a run, or one for each combination of values |
 | `load`, `Run` | a run's folder: configuration, measures, frozen weights |
 | `evaluate`, `Evaluation` | what learns nothing on held-out starts, and what an evaluation found |
+| `Replay` | an episode that plays in a notebook's cell, as a page or as a film |
 | `Policy` | frozen networks: from observations to actions |
 | `compose`, `Config`, `ConfigError` | a checked configuration; the error of every mistake in one |
 | `make_env`, `RISFleetParallelEnv`, `SingleRobotEnv` | the world, to step through by yourself |
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
         register_channel_model,
         register_reward,
     )
+    from risfleet.replays import Replay
     from risfleet.runs import Evaluation, Run, evaluate, load
     from risfleet.training import SweepError, compose, make_env, sweep, train
     from training.policy import AccessPointPolicy, Policy
@@ -40,6 +42,7 @@ __all__ = [
     "Evaluation",
     "Policy",
     "RISFleetParallelEnv",
+    "Replay",
     "Run",
     "SingleRobotEnv",
     "SweepError",
@@ -61,6 +64,7 @@ _HOMES = {
     "Evaluation": "risfleet.runs",
     "Policy": "training.policy",
     "RISFleetParallelEnv": "env",
+    "Replay": "risfleet.replays",
     "Run": "risfleet.runs",
     "SingleRobotEnv": "env",
     "SweepError": "risfleet.training",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +21,8 @@ from experiments.analysis.frozen import check_options, play, without_weights
 from experiments.console.display import describe, summary_table
 from experiments.console.mishaps import in_words
 from experiments.runtimes.folders import near
+from experiments.viewer.replays import beside
+from risfleet.replays import Replay
 from training.building import known_rooms
 from training.policy import AccessPointPolicy, Policy
 from training.recording.csv_log import read_columns
@@ -209,6 +211,24 @@ class Run:
         return {
             name: Evaluation(epsilon, episodes=None, **measures) for name, measures in found.items()
         }
+
+    def replay(
+        self, *, against: str | Sequence[str] = (), episode: int = 0, epsilon: float = 0.0
+    ) -> Replay:
+        """An episode of its final weights, to look at: a notebook's cell plays it.
+
+        Args:
+            against: what stands beside it from the same start: folders of other runs, "oracle", or
+                "shortest"; one, or several.
+            episode: the number of the held-out start, from 0.
+            epsilon: probability of a random action.
+
+        Raises:
+            ConfigError: it has not ended, is a building's, or has not so many held-out starts.
+        """
+        check_options(epsilon=epsilon)
+        others = [against] if isinstance(against, str) else list(against)
+        return Replay(f"RISFleet: {self.path.name}", beside(self._folder, others, episode, epsilon))
 
     # --- How it is shown --------------------------------------------------------------------------
 

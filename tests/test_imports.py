@@ -36,7 +36,8 @@ RULES = {
     "server_app": {"server_app", *A_RUN, "flwr", "numpy", "cryptography"},
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
-        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography", "psutil", "IPython",
+        "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography", "psutil", "PIL",
+        "imageio_ffmpeg", "IPython",
     },
     "risfleet": {*OURS, "numpy", "pandas", "rich"},
 }  # fmt: skip

@@ -5,33 +5,25 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.console import Console
 
 from conf import ConfigError
 from conf.user_paths import user_path
-from experiments.console.arguments import check_place, not_negative, share
-from experiments.viewer import replays
-from experiments.viewer.page import page
-from storage.atomic import write_atomically
+from experiments.console.arguments import not_negative, share
+from experiments.viewer.replays import beside
+from experiments.viewer.saving import check_out, save
 from training.run_folder import RunFolder
-
-PAGE, FILMS = ".html", (".gif", ".mp4")
 
 
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
     try:
-        _check(given.out)
-        panels = _panels(given)
-        if given.out.suffix == PAGE:
-            write_atomically(given.out, page(f"RISFleet: {given.run}", {"panels": panels}))
-        else:
-            from experiments.viewer.film import save_film  # matplotlib: where it is wanted
-
-            save_film(panels, given.out, frames_per_slot=given.frames)
+        check_out(given.out)
+        run = RunFolder(user_path(given.run))
+        panels = beside(run, given.against, given.episode, given.epsilon)
+        save(panels, f"RISFleet: {given.run}", given.out, given.frames)
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
@@ -39,26 +31,6 @@ def main(arguments: Sequence[str]) -> int:
     console = Console()
     console.print(f"{given.out}: {size / 1000:.0f} kB", highlight=False, soft_wrap=True)
     return 0
-
-
-def _check(out: Path) -> None:
-    if out.suffix not in (PAGE, *FILMS):
-        allowed = ", ".join((PAGE, *FILMS))
-        raise ConfigError(f"--out {out}: allowed is a file that ends in one of {allowed}.")
-    check_place("--out", out)
-
-
-def _panels(given: argparse.Namespace) -> list[replays.Panel]:
-    """The run's episode, and what it stands against."""
-    run = RunFolder(user_path(given.run))
-    panels = [replays.of_run(run, given.episode, given.epsilon)]
-    for other in given.against:
-        if other in replays.RIVALS:
-            panels.append(replays.rival(run, given.episode, other))
-        else:
-            there = RunFolder(user_path(other))
-            panels.append(replays.of_run(there, given.episode, given.epsilon))
-    return panels
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from agent import single_threaded
 from conf import Config, ConfigError, has_rooms
+from conf.user_paths import user_path
 from experiments.analysis import played
 from experiments.viewer.scene import scene
 from training.evaluation import Evaluator
@@ -22,6 +24,29 @@ RIVALS = {
 
 Panel = dict[str, Any]
 """A "title", a "scene" as ``scene.scene``, and an "episode" as ``training.trace.recorded``."""
+
+
+def beside(
+    run: RunFolder, against: Sequence[str], episode: int, epsilon: float = 0.0
+) -> list[Panel]:
+    """An episode of a run, and what it stands against from the same start.
+
+    Args:
+        run: the run's folder.
+        against: folders of other runs, or names of ``RIVALS``.
+        episode: the number of the held-out start, from 0.
+        epsilon: probability of a random action of what has learned.
+
+    Raises:
+        ConfigError: see ``of_run`` and ``rival``.
+    """
+    panels = [of_run(run, episode, epsilon)]
+    for other in against:
+        if other in RIVALS:
+            panels.append(rival(run, episode, other))
+        else:
+            panels.append(of_run(RunFolder(user_path(other)), episode, epsilon))
+    return panels
 
 
 def of_run(folder: RunFolder, episode: int, epsilon: float = 0.0) -> Panel:

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+import risfleet
 from experiments.cli import main
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -156,6 +157,17 @@ def test_whoever_prefers_no_motion_starts_it_by_hand(
     browser = opened(replay)
     assert browser.find_element(By.ID, "play").text == "Play"
     chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_a_notebooks_cell_plays_it_too(
+    opened: Callable[..., Chrome], tiny_run: Path, tmp_path: Path
+) -> None:
+    cell = tmp_path / "cell.html"
+    cell.write_text(risfleet.load(tiny_run).replay()._repr_html_(), encoding="utf-8")
+    browser = opened(cell.as_uri())
+    browser.switch_to.frame(0)
+    until(browser, lambda b: shown(b) > 2)
+    browser.switch_to.default_content()
 
 
 def test_the_page_of_a_run_shows_its_episode_and_its_curves(
