@@ -1,4 +1,4 @@
-"""The world's step, against a CartPole step and in a batch; and the making of a radio map."""
+"""The world's step, alone, in a batch and as a vector environment, beside CartPole; radio maps."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 
+import env  # noqa: F401 - registers the single robot
 from agent import single_threaded
 from benchmarks.result import Result, Threshold, micro, take_turns
 from conf import compose
@@ -24,6 +25,15 @@ VS_CARTPOLE = (
     " of a CartPole-v1 step; random actions, resets included, blocks in turn"
 )
 BATCHED = f"world steps per processor second of {BATCH} worlds in a batch over one world"
+
+VECTOR = (
+    f"robots that drive in a slot of {BATCH} risfleet/SingleRobot-v0 in one vector environment, per"
+    " processor second; K = 3, random actions, resets, observations and infos included"
+)
+VS_VECTOR = (
+    f"the same over steps per processor second of {BATCH} CartPole-v1 in one, blocks in turn"
+)
+VS_SINGLE = "the same over steps per processor second of one CartPole-v1, blocks in turn"
 
 MAP = (
     "processor time of the radio map of M = 1,600 elements with exact distances, 3,600 cells, over"
@@ -74,8 +84,47 @@ class CartPole:
                 self._env.reset()
 
 
+class Vector:
+    """256 environments as ``make_vec`` gives them, under random actions."""
+
+    def __init__(self, name: str) -> None:
+        self._env = gymnasium.make_vec(
+            name, num_envs=BATCH, vectorization_mode="vector_entry_point"
+        )
+        self._env.action_space.seed(0)
+        self._moves = [self._env.action_space.sample() for _ in range(MADE)]
+        self._tick = 0
+        self._env.reset(seed=0)
+
+    def __call__(self, steps: int) -> None:
+        """Takes steps in every environment."""
+        for _ in range(steps):
+            self._env.step(self._moves[self._tick % MADE])
+            self._tick += 1
+
+
+class Robots(Vector):
+    """The single robot 256 times; counts the robots that drive."""
+
+    def __init__(self) -> None:
+        super().__init__("risfleet/SingleRobot-v0")
+        self._driven = 0
+
+    def __call__(self, steps: int) -> None:
+        """Takes steps in every environment."""
+        world = self._env.unwrapped.world  # type: ignore[attr-defined]  # it is ours
+        for _ in range(steps):
+            self._driven += int(np.count_nonzero(world.driving))
+            super().__call__(1)
+
+    @property
+    def driven(self) -> float:
+        """Robots that drove in a step, of all environments together, in the mean so far."""
+        return self._driven / self._tick
+
+
 def env_step(*, quick: bool = False) -> list[Result]:
-    """Measures the three results whose names begin with ``world_``."""
+    """Measures the results whose names begin with ``world_``."""
     single_threaded()
     steps, blocks = (100, 3) if quick else (500, 15)
     scenario = Scenario.drawn(compose().env, 0)
@@ -102,7 +151,32 @@ def env_step(*, quick: bool = False) -> list[Result]:
         Result.over(
             "world_batch_256_vs_1", gain, "ratio", BATCHED, Threshold(20, at_least=True), micros
         ),
+        *_vectors(steps, blocks),
         *_maps(scenario.config, 100_000 * float(np.median(taken["cartpole"])), 3 if quick else 9),
+    ]
+
+
+def _vectors(steps: int, blocks: int) -> list[Result]:
+    """The vector environment's robot steps a second, and over CartPole's steps a second."""
+    robots, many, one = Robots(), Vector("CartPole-v1"), CartPole()
+    for variant in (robots, many, one):
+        variant(steps)
+    taken = take_turns({"vector": robots, "cartpole_vector": many, "cartpole": one}, steps, blocks)
+    driven = robots.driven
+    robots_per_s = driven / taken["vector"]
+    single_per_s, many_per_s = 1 / taken["cartpole"], BATCH / taken["cartpole_vector"]
+    details = {
+        "steps_per_s": BATCH / float(np.median(taken["vector"])),
+        "robots_driving": driven,
+        "cartpole_per_s": float(np.median(single_per_s)),
+        "cartpole_vector_per_s": float(np.median(many_per_s)),
+    }
+    target = Threshold(300_000, at_least=True)
+    name = "world_vector_robot_steps"
+    return [
+        Result.over(f"{name}_per_s", robots_per_s, "robot steps/s", VECTOR, target, details),
+        Result.over(f"{name}_vs_cartpole_vector", robots_per_s / many_per_s, "ratio", VS_VECTOR),
+        Result.over(f"{name}_vs_cartpole", robots_per_s / single_per_s, "ratio", VS_SINGLE),
     ]
 
 
