@@ -1,4 +1,4 @@
-"""Executes a notebook where it stands and keeps what it shows, without dates of runs.
+"""Executes notebooks where they stand, without dates of runs, and shows them on the site.
 
 ``python -m tools.notebooks docs/examples/first_run.ipynb``
 """
@@ -42,6 +42,29 @@ def executed(notebook: NotebookNode, folder: Path) -> NotebookNode:
     client.execute()
     notebook.metadata = nbformat.from_dict(METADATA)
     return notebook
+
+
+def as_markdown(notebook: NotebookNode) -> str:
+    """A notebook with what it shows as a page of the documentation site."""
+    parts = []
+    for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            parts.append(cell.source)
+            continue
+        parts.append(f"```python\n{cell.source}\n```")
+        parts += [_shown(output) for output in cell.outputs]
+    return "\n\n".join(parts)
+
+
+def _shown(output: NotebookNode) -> str:
+    """One output, in the richest form that it has."""
+    data = output.get("data", {"text/plain": output.get("text", "")})
+    if "image/png" in data:
+        picture = "".join(data["image/png"].split())
+        return f'<img alt="figure" src="data:image/png;base64,{picture}">'
+    if "text/html" in data:
+        return str(data["text/html"])
+    return f"```text\n{data['text/plain']}\n```"
 
 
 def main() -> int:

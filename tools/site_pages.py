@@ -1,8 +1,9 @@
 """Pages and files of the documentation site that lie outside of ``docs/``.
 
 The README is its first page; CONTRIBUTING, CHANGELOG, LICENSE, CITATION.cff and ``results/`` keep
-their places below the root. Links are written for GitHub, where ``docs/`` is a folder of its own:
-here they lose ``docs/`` on the way down and a ``../`` on the way up.
+their places below the root, and notebooks become pages. Links are written for GitHub, where
+``docs/`` is a folder of its own: here they lose ``docs/`` on the way down and a ``../`` on the way
+up.
 """
 
 from __future__ import annotations
@@ -12,9 +13,13 @@ from pathlib import Path, PurePosixPath
 from posixpath import normpath, relpath
 from typing import Any
 
+import nbformat
 from mkdocs.structure.files import File, Files  # type: ignore[import-not-found, unused-ignore]
 
+from tools.notebooks import as_markdown
+
 ROOT = Path(__file__).parent.parent
+NOTEBOOK = ".ipynb"
 PAGES = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
 LINK = re.compile(r"(\]\()((?!https?:|mailto:|#)[^)#\s]+)([^)]*\))")
 
@@ -32,6 +37,10 @@ def on_files(files: Files, config: Any) -> Files:
     """Adds them to the site's files."""
     for place, path in outside().items():
         files.append(File.generated(config, place, abs_src_path=str(path)))
+    for path in sorted((ROOT / "docs").rglob(f"*{NOTEBOOK}")):
+        place = path.relative_to(ROOT / "docs").with_suffix(".md").as_posix()
+        page = as_markdown(nbformat.read(path, as_version=4))
+        files.append(File.generated(config, place, content=page))
     return files
 
 
@@ -59,4 +68,6 @@ def _on_site(target: str) -> str:
         return "index.md"
     if target == "results":
         return "results/weights/README.md"
+    if target.endswith(NOTEBOOK):
+        target = f"{target.removesuffix(NOTEBOOK)}.md"
     return target.removeprefix("docs/")
