@@ -37,7 +37,7 @@ RULES = {
     "experiments": {
         *OURS, "flwr", "numpy", "torch", "safetensors", "matplotlib", "rich", "ray",
         "gymnasium", "pettingzoo", "hydra", "omegaconf", "cryptography", "psutil", "PIL",
-        "imageio_ffmpeg", "IPython",
+        "imageio_ffmpeg", "IPython", "yaml",
     },
     "risfleet": {*OURS, "numpy", "pandas", "rich"},
 }  # fmt: skip

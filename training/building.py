@@ -257,7 +257,7 @@ class BuildingRun:
             both = self._aps.get(0 if self._shares_ap else room.index)
             if both is None or (room.held_out and not self._shares_ap):
                 both = self._first_ap(room)
-            place.write_weights(np.array(robots), both)
+            place.write_weights(np.array(robots), both, own)
         self.recorder.write_scores(self.progress, scores)
         aps = [self._aps[index].ravel() for index in sorted(self._aps)]
         digests = {

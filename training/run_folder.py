@@ -19,7 +19,9 @@ from safetensors.numpy import load_file, save
 from conf import Config, ConfigError, from_yaml, to_yaml, weight_shapes
 from env.texts import read_text
 from storage.atomic import write_atomically, write_whole
+from storage.safetensors_metadata import read_metadata, with_metadata
 from storage.strict_json import to_json
+from training.weights_metadata import config_in, describe
 
 _NOTHING_YET: dict[str, Any] = {
     "state": "unknown",
@@ -196,13 +198,15 @@ class RunFolder:
     # --- Configuration, summary, weights ----------------------------------------------------------
 
     def read_config(self) -> Config:
-        """The configuration that the run has written.
+        """The configuration that the run has written; without its file, that in its weights.
 
         Raises:
             ConfigError: it is not there, or wrong.
         """
         path = self.config_file
         try:
+            if not path.exists() and (found := config_in(read_metadata(self.weights_file))):
+                return found
             return from_yaml(read_text(path))
         except UnicodeError as error:
             raise ConfigError(f"{path} cannot be read: {error}.") from error
@@ -261,10 +265,19 @@ class RunFolder:
                 raise ConfigError(f"{path}: {name} is {found} where {own} says {shape}.")
         return arrays["robots"], arrays["ap"]
 
-    def write_weights(self, robots: NDArray[np.float32], ap: NDArray[np.float32]) -> None:
-        """Writes the final weights: robots (K, 2, P) and ap (2, P_AP), online then target."""
+    def write_weights(
+        self, robots: NDArray[np.float32], ap: NDArray[np.float32], config: Config
+    ) -> None:
+        """Writes the final weights, online then target, and what they are.
+
+        Args:
+            robots: shape (K, 2, P).
+            ap: shape (2, P_AP).
+            config: the run's.
+        """
         arrays = {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}
-        write_whole(self.weights_file, save(arrays))
+        content = with_metadata(save(arrays), describe(config, robots, ap))
+        write_whole(self.weights_file, content)
 
     # --- Progress ---------------------------------------------------------------------------------
 

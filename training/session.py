@@ -164,7 +164,7 @@ class TrainingRun:
     ) -> dict[str, Any]:
         """Evaluates the final weights, and writes weights, summary and figures."""
         ap = self.ap.weights()
-        self.folder.write_weights(robots, ap)
+        self.folder.write_weights(robots, ap, self.config)
         online = robots[:1, 0] if shared else robots[:, 0]
         found = evaluate(self.evaluator, online, ap[0], FINAL_EPSILON)
         self.recorder.show_episode(self.folder, run.progress, found.episode)

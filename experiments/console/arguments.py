@@ -14,7 +14,7 @@ from training.run_folder import RunFolder
 
 
 def run_folder(what: Sequence[str]) -> RunFolder | None:
-    """The run's folder that arguments name; None where they set keys.
+    """The run's folder that arguments name, or its file of weights; None where they set keys.
 
     Raises:
         ConfigError: there are keys beside it.
@@ -22,7 +22,10 @@ def run_folder(what: Sequence[str]) -> RunFolder | None:
     folders = [user_path(item) for item in what if "=" not in item or user_path(item).is_dir()]
     if folders and len(what) > 1:
         raise ConfigError(f"{' '.join(what)}: allowed is one run folder, or KEY=VALUE ... alone.")
-    return RunFolder(folders[0]) if folders else None
+    if not folders:
+        return None
+    within = RunFolder(folders[0].parent)
+    return within if within.weights_file == folders[0] else RunFolder(folders[0])
 
 
 def check_place(option: str, file: Path | None) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from conf import ap_network, robot_network
 from experiments.reproduce.results.runs import Run
 from training.recording.summary import LAST_EVALUATIONS
+from training.weights_metadata import widths
 
 WIDTH = 100
 """Of a line of the card."""
@@ -62,6 +63,21 @@ least and the largest of all seeds of the same configuration.
 | `{files.weights_file.name}` | float32: `robots`, shape (K, 2, P), and `ap`, shape (2, P_AP) |
 | `{files.config_file.name}` | the whole configuration of the run |
 | `{files.summary_file.name}` | versions, digests of the weights, what the run came to |
+
+The file of weights is enough by itself: its `__metadata__` holds format, version, layers, digests,
+overrides and the whole configuration, so `risfleet evaluate` plays it without the others. In Python
+it is
+
+```python
+from safetensors import safe_open
+
+with safe_open("results/weights/{first}/{files.weights_file.name}", framework="np") as file:
+    print(file.metadata()["robots_network"], file.metadata()["overrides"])
+    robots = file.get_tensor("robots")[:, 0]  # online networks, shape (K, P)
+```
+
+Each folder also has a card for a repository of its own on Hugging Face's hub, whose front matter
+holds what the final weights alone came to, from `{files.summary_file.name}`.
 
 Of two networks the first is the online one, which plays, and the second the target. A network is a
 flat row: of each layer the weights, inputs by outputs, row by row, and the bias as one more row;
@@ -175,6 +191,5 @@ def _spread(own: float | None, all_: Sequence[float], form: str) -> str:
 def _sizes(player: Player) -> str:
     cells = [player.name]
     for network in (robot_network(player.run.config), ap_network(player.run.config)):
-        widths = network.inputs, *(width for _, width in network.layers)
-        cells += [" - ".join(map(str, widths)), f"{network.parameters:,}"]
+        cells += [widths(network), f"{network.parameters:,}"]
     return f"| {' | '.join(cells)} |"

@@ -21,7 +21,7 @@ from conf import ConfigError, has_rooms
 from conf.schema import RunConfig
 from conf.user_paths import user_path
 from experiments.console.mishaps import in_words
-from experiments.reproduce.export import repeat
+from experiments.reproduce.export import hub, repeat
 from experiments.reproduce.export.card import Player, card
 from experiments.reproduce.results.output import Row
 from experiments.reproduce.results.runs import HeldOutRoom, Run
@@ -93,8 +93,8 @@ def export(source: Path, results: Path, others: Mapping[str, Path]) -> list[Path
     for player in players:
         files += _weights(player.run, results / "weights" / player.name)
     if players:
-        write_atomically(results / "weights" / "README.md", card(players))
-        files.append(results / "weights" / "README.md")
+        write_atomically(results / "weights" / hub.CARD, card(players))
+        files += hub.dress(results / "weights")
     return list(dict.fromkeys(files))
 
 
