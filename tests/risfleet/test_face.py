@@ -215,6 +215,7 @@ def test_a_run_shows_its_folder_and_its_measures(tiny_run: Path) -> None:
     run = risfleet.load(tiny_run)
     assert repr(run) == f"<Run {tiny_run}>"
     html = run._repr_html_()
+    assert html is not None
     assert "success" in html
     assert str(tiny_run) not in html
 

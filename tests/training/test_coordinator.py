@@ -51,8 +51,8 @@ class SpiedWorld(World):
         self.starts.append(self.cell[0])
         self.starts_db.append(self.measured_db[0])
 
-    def restart(self, worlds: Any) -> None:
-        super().restart(worlds)
+    def restart(self, worlds: Any, start: Any = None, fading: Any = None) -> None:
+        super().restart(worlds, start, fading)
         self.starts.append(self.cell[0])
         self.starts_db.append(self.measured_db[0])
 

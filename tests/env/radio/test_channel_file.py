@@ -203,4 +203,4 @@ def test_a_robots_side_needs_no_file(tmp_path: Path) -> None:
 
 def test_the_name_file_is_no_plug_ins() -> None:
     with pytest.raises(PluginError, match="a name other than indoor_hotspot and file"):
-        plugins.register_channel_model("file", lambda config, floor: (None, None))
+        plugins.register_channel_model("file", lambda config, floor: None)  # type: ignore[return-value]
