@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,16 +46,18 @@ class Trace:
     def see(self, world: World, served: Served) -> Served:
         """Notes a slot before the world moves on; returns what is served, unchanged."""
         kept = self._worlds
-        gain = np.abs(world.channel(served[0])[kept]) ** 2
-        driving = world.driving[kept]
-        sent = world.downlink.allocate(gain, served[1][kept], driving)
-        self.cells.append(world.cell[kept])
+        cell, driving = world.cell[kept], world.driving[kept]
+        phase, level = (each[kept] for each in served)
+        fades = world.config.channel.fading == "slot"
+        gain = world.radio_map.gain(cell, phase, world.direct[kept] if fades else None)
+        sent = world.downlink.allocate(gain, level, driving)
+        self.cells.append(cell)
         self.driving.append(driving)
         self.gains.append(gain)
         self.rates.append(sent.rate)
         self.powers_w.append(sent.power_w)
         self.orders.append(sent.order)
-        self.phases.append(served[0][kept])
+        self.phases.append(phase)
         return served
 
     def finish(self, world: World) -> None:
@@ -92,19 +94,21 @@ def recorded(trace: Trace, world: World, measures: EpisodeMeasures) -> dict[str,
         "beams", (T,); and the measures in ``SHOWN``.
     """
     slots = int(measures.slots[0])
-    phases = np.array([phase[0] for phase in trace.phases[:slots]], dtype=np.int64)
-    driving = [each[0] for each in trace.driving[:slots]]
+
+    def first(arrays: Sequence[NDArray[Any]], count: int = slots) -> NDArray[Any]:
+        return np.stack(arrays[:count])[:, 0]
+
+    driving, gains = first(trace.driving), first(trace.gains)
+    order = first(trace.orders)[:, ::-1]
+    drives = np.take_along_axis(driving, order, axis=1)
     return {
-        "cells": [cell[0].tolist() for cell in trace.cells[: slots + 1]],
-        "driving": [each.astype(int).tolist() for each in driving],
-        "rates": _rounded(trace.rates[:slots], 4),
-        "powers_w": _rounded(trace.powers_w[:slots], 6),
-        "gains_db": _rounded([10.0 * np.log10(gain) for gain in trace.gains[:slots]], 1),
-        "order": [
-            [int(robot) for robot in order[0][::-1] if drives[robot]]
-            for order, drives in zip(trace.orders[:slots], driving, strict=True)
-        ],
-        **_phases(world, phases),
+        "cells": first(trace.cells, slots + 1).tolist(),
+        "driving": driving.astype(int).tolist(),
+        "rates": first(trace.rates).round(4).tolist(),
+        "powers_w": first(trace.powers_w).round(6).tolist(),
+        "gains_db": (10.0 * np.log10(gains)).round(1).tolist(),
+        "order": [robots[there].tolist() for robots, there in zip(order, drives, strict=True)],
+        **_phases(world, first(trace.phases)),
         **{name: float(getattr(measures, name)[0]) for name in SHOWN},
     }
 
@@ -115,7 +119,3 @@ def _phases(world: World, actions: NDArray[np.int64]) -> Mapping[str, Any]:
         return {"beams": actions.tolist()}
     degrees = np.degrees(np.angle(world.radio_map.settings[actions])).round() % 360.0
     return {"phases_deg": degrees.astype(int).tolist()}
-
-
-def _rounded(arrays: list[NDArray[np.float64]], digits: int) -> list[list[float]]:
-    return [np.round(each[0], digits).tolist() for each in arrays]
