@@ -1,5 +1,6 @@
 """The examples in docs/examples train what they say."""
 
+import csv
 import importlib.util
 import math
 import random
@@ -9,10 +10,13 @@ import sys
 import numpy as np
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
+from torchrl.envs.utils import check_env_specs  # type: ignore[import-untyped]
 
 from conf.overrides import FOLDER
 from env.checks import checked_config
 from env.geometry.floor import Floor
+from env.oracles.per_slot import shortest_directions
 from env.radio.propagation import (
     array_factor,
     element_offsets_m,
@@ -120,6 +124,105 @@ def test_torchrl_learns_nothing_from_robots_that_have_arrived():
     memory = learner.replay[:]
     assert memory["next", "terminated"].flatten().tolist() == [True, False, False, True]
     assert (memory["next", "reward"].flatten()[[0, 3]] > 4).all()  # the goal's 100, scaled
+
+
+SMALL = (
+    "+env.robots=2",
+    "+env.motion.max_slots=12",
+    "+env.tasks.start_distance_m=1.0",
+    "evaluate_every=60",
+    "experiment.max_n_frames=60",
+    "experiment.off_policy_collected_frames_per_batch=30",
+    "experiment.off_policy_n_optimizer_steps=2",
+    "experiment.off_policy_train_batch_size=16",
+    "experiment.off_policy_init_random_frames=0",
+    "experiment.on_policy_collected_frames_per_batch=30",
+    "experiment.on_policy_minibatch_size=15",
+)
+"""A run of BenchMARL's of two batches, evaluated at its end."""
+
+
+def test_worlds_in_a_batch_are_the_absorbing_fleet_to_the_bit():
+    fleet = example("benchmarl_fleet")
+    config = {"robots": 3, "motion": {"max_slots": 60}}
+    worlds = fleet.FleetWorlds(config, 1, 0)
+    view = fleet.env.RISFleetParallelEnv(config, absorbing=True)
+    worlds.set_seed(4)
+    slot, (seen, infos) = worlds.reset(), view.reset(seed=4)
+    random, arrivals = np.random.default_rng(0), 0
+    while view.agents:
+        for group, names in ((fleet.ROBOTS, view.robots), (fleet.ACCESS_POINT, [fleet.AP])):
+            np.testing.assert_array_equal(slot[group, "observation"][0], [seen[n] for n in names])
+            masks = [infos[name]["action_mask"] for name in names]
+            np.testing.assert_array_equal(slot[group, "action_mask"][0], masks)
+        np.testing.assert_array_equal(slot["state"][0], view.state())
+        direction, level = shortest_directions(view.world)[0], random.integers(1, 7, size=3)
+        picks = [view.world.scenario.actions.encode(direction, level).tolist()]
+        actions = dict(zip(view.robots, *picks, strict=True)) | {fleet.AP: int(random.integers(4))}
+        slot[fleet.ROBOTS, "action"] = torch.tensor(picks)
+        slot[fleet.ACCESS_POINT, "action"] = torch.tensor([[actions[fleet.AP]]])
+        slot = worlds.step(slot)["next"]
+        seen, paid, ended, late, infos = view.step(actions)
+        due = np.array([paid[name] for name in view.robots], np.float32)
+        np.testing.assert_array_equal(slot[fleet.ROBOTS, "reward"][0, :, 0], due)
+        assert slot[fleet.ACCESS_POINT, "reward"].item() == np.float32(paid[fleet.AP])
+        ends = [slot[name].item() for name in ("terminated", "truncated", "done")]
+        assert ends == [ended[fleet.AP], late[fleet.AP], not view.agents]
+        arrivals += sum(infos[name]["arrived"] for name in view.robots)
+    assert arrivals
+
+
+def test_worlds_in_a_batch_keep_torchrls_rules_and_begin_anew_one_by_one():
+    fleet = example("benchmarl_fleet")
+    config = {"motion": {"max_slots": 3}, "tasks": {"start_distance_m": 1.0}}
+    worlds = fleet.FleetWorlds(config, 3, 0)
+    check_env_specs(worlds)
+    slot = worlds.reset()
+    worlds.world.slot = np.array([0, 2, 1])
+    slot = worlds.rand_action(slot)
+    _, following = worlds.step_and_maybe_reset(slot)
+    assert worlds.world.slot.tolist() == [1, 0, 2]
+    assert not following["done"].any()
+
+
+@pytest.mark.parametrize("algorithm", ["mappo", "qmix", "vdn", "iql"])
+def test_benchmarl_trains_robots_and_access_point(algorithm, tmp_path):
+    fleet = example("benchmarl_fleet")
+    with initialize_config_dir(str(EXAMPLES), version_base=None):
+        settings = compose("benchmarl_fleet", [f"algorithm={algorithm}", *SMALL])
+    trained = fleet.train(settings, tmp_path)
+    assert trained.total_frames == 60
+    assert list(trained.group_map) == [fleet.ROBOTS, fleet.ACCESS_POINT]
+    settings.experiment.lr = 0.0
+    still = fleet.train(settings, tmp_path / "still")
+    for group in trained.group_map:
+        learned, first = (weights(made.group_policies[group]) for made in (trained, still))
+        assert torch.isfinite(learned).all()
+        assert (learned != first).any()
+    with (tmp_path / fleet.EVALUATIONS).open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["tick"], row["epsilon"]) for row in rows] == [("60", "0.05"), ("60", "0.0")]
+    assert all(0 <= float(row["success"]) <= 1 and float(row["ee"]) > 0 for row in rows)
+
+
+def test_the_table_has_the_means_of_the_last_evaluations_and_when_runs_converged(tmp_path):
+    table = example("benchmarl_table")
+    for name, successes in (("qmix-0", [0, 0.9, 1, 1, 1, 0.9, 0.7]), ("qmix-1", [0.5] * 7)):
+        (tmp_path / name).mkdir()
+        with (tmp_path / name / "evaluations.csv").open("w") as file:
+            file.write("tick,epsilon,success,ee\n")
+            for at, success in enumerate(successes):
+                file.writelines(f"{700 * at},{e},{success - e},0.1\n" for e in (0.05, 0.0))
+    *_, line = table.table(tmp_path).splitlines()
+    assert line == "| QMIX | 0.87 0.45 | 0.66 | 0.45 | 0.71 | 0.100 0.100 | 0.100 | 1400 never |"
+
+
+@pytest.mark.slow
+def test_one_command_trains_a_sweep(tmp_path):
+    program = str(EXAMPLES / "benchmarl_fleet.py")
+    command = [sys.executable, program, "-m", "algorithm=iql", "seed=0,1"]
+    subprocess.run([*command, *SMALL, f"hydra.sweep.dir={tmp_path}"], check=True)
+    assert {path.parent.name for path in tmp_path.glob("*/evaluations.csv")} == {"iql-0", "iql-1"}
 
 
 @pytest.mark.slow

@@ -13,7 +13,9 @@ from safetensors.numpy import load_file
 
 from conf import Config
 from env.episode import EpisodeMeasures
+from env.world import World
 from experiments.runtimes import local
+from training.controllers.policies import Decision, Exploration, PolicyWeights, frozen_policy
 from training.evaluation import Evaluator
 from training.run_folder import RunFolder
 from training.trace import Trace
@@ -45,6 +47,20 @@ def test_an_evaluation_repeats_itself(tiny: Tiny, weights: Weights) -> None:
     first, again = evaluator.play(*weights, (0.3,)), evaluator.play(*weights, (0.3,))
     assert same(first[0], again[0])
     assert same(first[0], Evaluator(tiny()).play(*weights, (0.3,))[0])
+
+
+def test_a_policy_of_ones_own_is_played_from_the_same_starts(tiny: Tiny, weights: Weights) -> None:
+    config = tiny()
+    played: list[NDArray[np.int64]] = []
+    robots = frozen_policy(config, Evaluator(config).world)
+
+    def watched(world: World, known: PolicyWeights, exploration: Exploration) -> Decision:
+        played.append(world.cell)
+        return robots(world, known, exploration)
+
+    given = Evaluator(config, policy=watched)
+    assert same(given.play(*weights, (0.3,))[0], Evaluator(config).play(*weights, (0.3,))[0])
+    np.testing.assert_array_equal(played[0], Evaluator(config).starts)
 
 
 @pytest.mark.parametrize("fading", ["static", "slot"])
