@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
@@ -16,9 +17,11 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
 
+from conf import own_groups
 from conf.checks import problems
-from conf.errors import ConfigError, first_sentence
+from conf.errors import ConfigError, first_sentence, sentence
 from conf.overrides import FOLDER, lines, parse, schema_node
+from conf.own_groups import located_plan
 from conf.schema import Config
 from conf.user_paths import CHANNELS, PATHS
 from env.checks import planned_config
@@ -71,24 +74,35 @@ def composed(overrides: Sequence[Override]) -> Config:
     Args:
         overrides: from ``conf.overrides.parse``.
     """
+    folders = own_groups.folders_of(overrides)
+    rest = lines([each for each in overrides if each.key_or_group != own_groups.KEY])
+    given = [*rest, own_groups.override_of(folders)] if folders else rest
     asked = [str(each.value()) for each in overrides if each.key_or_group == PLAN]
-    plan = asked[-1] if asked else floor_plans.DEFAULT
-    node = _composed_on(plan, lines(overrides))
-    if node.env.plan != plan:  # a group's file names another one
-        node = _composed_on(node.env.plan, lines(overrides))
+    plan = located_plan(asked[-1] if asked else floor_plans.DEFAULT, folders)
+    node = _composed_on(plan, given)
+    if located_plan(node.env.plan, folders) != plan:  # a group's file names another one
+        plan = located_plan(node.env.plan, folders)
+        node = _composed_on(plan, given)
     try:
-        for key in PATHS:
-            if isinstance(path := OmegaConf.select(node, key), str):
-                OmegaConf.update(node, key, os.path.expanduser(path))
-        plans = [floor_plans.absolute(plan) for plan in node.rooms.plans]
-        OmegaConf.update(node, "rooms.plans", plans)  # hosts of rooms have other working folders
-        if isinstance(path := OmegaConf.select(node, CHANNELS), str):
-            OmegaConf.update(node, CHANNELS, os.path.abspath(path))
-            if node.env.channel.model == "file" and node.env.channel.sha256 is None:
-                node.env.channel.sha256 = sha256_of(path)  # the run's own from now on
+        OmegaConf.update(node, PLAN, plan)
+        _find_files(node, folders)
     except OmegaConfBaseException as error:
         raise ConfigError(f"{first_sentence(error)}.") from error
     return from_node(node)
+
+
+def _find_files(node: DictConfig, folders: Sequence[Path]) -> None:
+    """Makes a configuration's paths hold in other working folders, and on without the user's."""
+    for key in PATHS:
+        if isinstance(path := OmegaConf.select(node, key), str):
+            OmegaConf.update(node, key, os.path.expanduser(path))
+    plans = [floor_plans.absolute(located_plan(plan, folders)) for plan in node.rooms.plans]
+    OmegaConf.update(node, "rooms.plans", plans)
+    if isinstance(path := OmegaConf.select(node, CHANNELS), str):
+        path = os.path.abspath(own_groups.located(path, folders))
+        OmegaConf.update(node, CHANNELS, path)
+        if node.env.channel.model == "file" and node.env.channel.sha256 is None:
+            node.env.channel.sha256 = sha256_of(path)  # the run's own from now on
 
 
 def _composed_on(plan: str, overrides: list[str]) -> DictConfig:
@@ -98,8 +112,11 @@ def _composed_on(plan: str, overrides: list[str]) -> DictConfig:
     with initialize_config_dir(str(FOLDER), version_base="1.3", job_name="risfleet"):
         try:
             return hydra_compose("config", overrides=overrides)
+        except YAMLError as error:
+            say = " ".join(line.strip() for line in str(error).splitlines())
+            raise ConfigError(f"a group's file is no YAML: {say}.") from error
         except (HydraException, OmegaConfBaseException) as error:
-            raise ConfigError(first_sentence(error)) from error
+            raise ConfigError(sentence(error)) from error
 
 
 def from_node(node: DictConfig) -> Config:

@@ -17,6 +17,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from conf import own_groups
 from conf.errors import ConfigError, shown
 from conf.schema import Config
 from conf.user_paths import LISTED, PATHS, with_quoted_path
@@ -37,20 +38,20 @@ def parse(texts: Sequence[str], *, sweep: bool = False, launcher: bool = False) 
     Args:
         texts: such as ``env.robots=4``.
         sweep: whether an override may list several values.
-        launcher: whether Hydra's launcher may be chosen; no other key of Hydra's has an effect.
+        launcher: whether Hydra's launcher may be chosen; beside it and ``hydra.searchpath`` no key
+            of Hydra's has an effect.
 
     Raises:
         ConfigError: names the first mistake.
     """
     schema = schema_node()
-    found = []
-    for text in texts:
-        override = _parsed(text, with_quoted_path(text, several=sweep))
+    found = [_parsed(text, with_quoted_path(text, several=sweep)) for text in texts]
+    roots = [FOLDER, *own_groups.folders_of(found)]
+    for text, override in zip(texts, found, strict=True):
         if is_hydras(override):
             _check_hydras(text, override, launcher=launcher)
-        else:
-            _check(text, override, schema, sweep=sweep)
-        found.append(override)
+        elif override.key_or_group != own_groups.KEY:
+            _check(text, override, schema, roots, sweep=sweep)
     return found
 
 
@@ -69,7 +70,9 @@ def _parsed(text: str, line: str) -> Override:
 
 
 def is_hydras(override: Override) -> bool:
-    """Whether a key is Hydra's own and no run's."""
+    """Whether a key is Hydra's own and says nothing of a run."""
+    if override.key_or_group == own_groups.KEY:
+        return False
     return override.key_or_group == "hydra" or override.is_hydra_override()
 
 
@@ -139,7 +142,9 @@ def _check_hydras(text: str, override: Override, *, launcher: bool) -> None:
         raise ConfigError(f"{text}: allowed is one launcher for all runs.")
 
 
-def _check(text: str, override: Override, schema: DictConfig, *, sweep: bool) -> None:
+def _check(
+    text: str, override: Override, schema: DictConfig, roots: Sequence[Path], *, sweep: bool
+) -> None:
     key = override.key_or_group
     if not key:
         raise ConfigError(f"{text!r} is not of the form key=value.")
@@ -149,7 +154,7 @@ def _check(text: str, override: Override, schema: DictConfig, *, sweep: bool) ->
     if override.is_delete() or (override.is_add() and not override.is_force_add()):
         raise ConfigError(f"{text!r}: keys can be neither added nor deleted, only set: key=value.")
     if key in GROUPS:
-        _check_choice(key, override)
+        _check_choice(key, override, roots)
     elif override.is_sweep_override():
         check_key(key)
     else:
@@ -164,13 +169,16 @@ def _lists_paths(override: Override) -> bool:
     return "," in value and not Path(value).exists()
 
 
-def _check_choice(group: str, override: Override) -> None:
-    choices = sorted(path.stem for path in (FOLDER / group).glob("*.yaml"))
+def _check_choice(group: str, override: Override, roots: Sequence[Path]) -> None:
+    choices = own_groups.files(group, roots)
     values = list(override.sweep_string_iterator()) if override.is_sweep_override() else None
     for value in values or [str(override.value())]:
         if value not in choices:
-            raise ConfigError.of([(group, value, f"one of {', '.join(choices)}")])
-        path = FOLDER / group / f"{value}.yaml"
+            raise ConfigError.of([(group, value, f"one of {', '.join(sorted(choices))}")])
+        path, *others = choices[value]
+        if others:
+            allowed = f"a name that one file has, not {path} and {others[0]}"
+            raise ConfigError.of([(group, value, allowed)])
         try:
             read_unmarked_text(path, "Hydra")
         except (OSError, UnicodeError) as error:

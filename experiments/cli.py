@@ -30,6 +30,7 @@ usage: risfleet COMMAND ...
   keys DIR [options]         makes the certificates and keys of a secured fleet
 
   COMMAND --help             what a command takes; --version prints the version
+  --config-dir DIR           with KEY=VALUE: groups and floor plans of your own, beside ours
 
 Examples:
   risfleet train experiment=quick
@@ -40,13 +41,14 @@ Examples:
 Keys and their defaults: risfleet train --cfg"""
 
 TRAIN_USAGE = """\
-usage: risfleet train [-m | --cfg] [KEY=VALUE ...]
+usage: risfleet train [-m | --cfg] [--config-dir DIR] [KEY=VALUE ...]
 
 Trains a fleet and writes a run folder.
 
   KEY=VALUE        sets a key, such as env.robots=4, or a group, such as experiment=quick
   -m, --multirun   runs every combination of the values given as KEY=A,B,...
   --cfg            prints every key with its value and trains nothing
+  --config-dir DIR looks in DIR, too, for experiment/NAME.yaml and other groups
   -h, --help       prints this"""
 
 STATUS_USAGE = """\
@@ -58,6 +60,9 @@ Says where the run in the folder RUN is.
 
 COMMANDS = ("train", "evaluate", "oracle", "reproduce", "status", "watch", "replay", "map", "keys")
 """Each is a module of ``experiments.commands``, which is loaded when it is asked for."""
+
+COMPOSING = ("train", "evaluate", "oracle", "reproduce", "map")
+"""Those that take KEY=VALUE."""
 
 _USAGES = {"train": TRAIN_USAGE, "status": STATUS_USAGE}
 """Of the commands that do not print their own."""
@@ -91,18 +96,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if hidden := hidden_package():
         print(f"risfleet: {hidden}", file=sys.stderr)
         return 2
+    from conf import ConfigError
     from env.plugins import PluginError
 
     try:
-        return int(import_module(f"experiments.commands.{name}").main(rest))
+        return int(import_module(f"experiments.commands.{name}").main(_composable(name, rest)))
     except KeyboardInterrupt:
         return 130
-    except PluginError as error:
+    except (ConfigError, PluginError) as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
     except OSError as error:
         print(f"risfleet: {in_words(error)}", file=sys.stderr)
         return 1
+
+
+def _composable(name: str, arguments: list[str]) -> list[str]:
+    """The arguments of a command, those that compose a configuration with folders of the user's."""
+    if name not in COMPOSING:
+        return arguments
+    from experiments.console.arguments import with_config_dirs
+
+    return with_config_dirs(arguments)
 
 
 def hidden_package() -> str:

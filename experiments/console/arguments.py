@@ -5,12 +5,17 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from conf import ConfigError
+from conf.own_groups import override_of
 from conf.user_paths import user_path
 from training.run_folder import RunFolder
+
+CONFIG_DIR = ("--config-dir", "-cd")
+_OVERRIDE = re.compile(r"\+{0,2}[\w./]+=")
 
 
 def run_folder(what: Sequence[str]) -> RunFolder | None:
@@ -26,6 +31,29 @@ def run_folder(what: Sequence[str]) -> RunFolder | None:
         return None
     within = RunFolder(folders[0].parent)
     return within if within.weights_file == folders[0] else RunFolder(folders[0])
+
+
+def with_config_dirs(arguments: Sequence[str]) -> list[str]:
+    """A command's arguments with ``hydra.searchpath`` in the place of Hydra's ``--config-dir``.
+
+    Raises:
+        ConfigError: what stands behind the option is no folder.
+    """
+    rest, folders, left = [], [], iter(arguments)
+    for item in left:
+        option, equals, value = item.partition("=")
+        if option not in CONFIG_DIR:
+            rest.append(item)
+            continue
+        folder = user_path(value if equals else next(left, ""))
+        if not folder.is_dir() or not folder.parts:
+            raise ConfigError(f"{option} {folder}: allowed is a folder that exists.")
+        folders.append(folder)
+    if not folders:
+        return rest
+    # Beside other overrides, since options may stand before and behind all of them.
+    place = next((n for n, item in enumerate(rest) if _OVERRIDE.match(item)), 0)
+    return [*rest[:place], override_of(folders), *rest[place:]]
 
 
 def check_place(option: str, file: Path | None) -> None:
