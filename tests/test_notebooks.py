@@ -9,9 +9,9 @@ from typing import Any
 
 import nbformat
 import pytest
-from jupyter_client import KernelManager
+from jupyter_client.manager import KernelManager
 
-from tools.notebooks import executed
+from tools.notebooks import executed, read
 
 EXAMPLES = Path(__file__).parent.parent / "docs" / "examples"
 FIRST_RUN = EXAMPLES / "first_run.ipynb"
@@ -27,7 +27,7 @@ def _no_traces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def first_run() -> Any:
-    return nbformat.read(FIRST_RUN, as_version=4)
+    return read(FIRST_RUN)
 
 
 def code_cells(notebook: Any) -> list[Any]:

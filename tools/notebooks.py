@@ -22,6 +22,12 @@ METADATA = {
 RUN = re.compile(r"runs/[\d_-]+-k\d+-s\d+")
 
 
+def read(path: Path) -> NotebookNode:
+    """Reads a notebook."""
+    found: NotebookNode = nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]
+    return found
+
+
 def executed(notebook: NotebookNode, folder: Path) -> NotebookNode:
     """Executes all cells of a notebook in their order.
 
@@ -40,7 +46,8 @@ def executed(notebook: NotebookNode, folder: Path) -> NotebookNode:
         record_timing=False,
     )
     client.execute()
-    notebook.metadata = nbformat.from_dict(METADATA)
+    notebook.metadata.clear()
+    notebook.metadata.update(METADATA)
     return notebook
 
 
@@ -71,8 +78,9 @@ def main() -> int:
     """Executes the notebooks that the command line names."""
     for path in map(Path, sys.argv[1:]):
         with tempfile.TemporaryDirectory() as folder:
-            notebook = executed(nbformat.read(path, as_version=4), Path(folder))
-        path.write_text(RUN.sub("runs/NAME", nbformat.writes(notebook)) + "\n")
+            notebook = executed(read(path), Path(folder))
+        text = nbformat.writes(notebook)  # type: ignore[no-untyped-call]
+        path.write_text(RUN.sub("runs/NAME", text) + "\n")
     return 0
 
 

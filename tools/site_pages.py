@@ -13,10 +13,9 @@ from pathlib import Path, PurePosixPath
 from posixpath import normpath, relpath
 from typing import Any
 
-import nbformat
 from mkdocs.structure.files import File, Files  # type: ignore[import-not-found, unused-ignore]
 
-from tools.notebooks import as_markdown
+from tools.notebooks import as_markdown, read
 
 ROOT = Path(__file__).parent.parent
 NOTEBOOK = ".ipynb"
@@ -39,8 +38,7 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File.generated(config, place, abs_src_path=str(path)))
     for path in sorted((ROOT / "docs").rglob(f"*{NOTEBOOK}")):
         place = path.relative_to(ROOT / "docs").with_suffix(".md").as_posix()
-        page = as_markdown(nbformat.read(path, as_version=4))
-        files.append(File.generated(config, place, content=page))
+        files.append(File.generated(config, place, content=as_markdown(read(path))))
     return files
 
 
