@@ -302,12 +302,14 @@ def flwr_home(tmp_path: Path) -> Iterator[dict[str, str]]:
 
 
 @pytest.mark.flower
+@pytest.mark.parametrize("app", [".", pytest.param("hub", marks=pytest.mark.slow)])
 def test_flowers_own_command_ends_in_the_same_bits(
     tmp_path: Path,
     tiny_overrides: Sequence[str],
     expected: Expected,
     flwr_home: dict[str, str],
     project: Path,
+    app: str,
 ) -> None:
     folder = tmp_path / "run"
     changes = [*LENGTH, "runtime=simulation", f"run.dir={folder}"]
@@ -317,7 +319,7 @@ def test_flowers_own_command_ends_in_the_same_bits(
     command = [str(Path(sysconfig.get_path("scripts"), "flwr")), "run", "."]
     told = subprocess.run(
         [*command, "--run-config", str(config)],
-        cwd=project,
+        cwd=project / app,
         env=flwr_home,
         capture_output=True,
         text=True,
