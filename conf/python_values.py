@@ -58,7 +58,8 @@ def value_text(key: str, value: Any) -> str:
 
     Args:
         key: whose it is, for the error.
-        value: None, a truth value, a number, a text, a path, or lists of these; NumPy's as well.
+        value: None, a truth value, a number, a text, a path, or lists of these, or mappings to
+            them from words; NumPy's as well.
 
     Raises:
         ConfigError: something else.
@@ -76,5 +77,7 @@ def value_text(key: str, value: Any) -> str:
         return text if _WORD.fullmatch(text) else quoted(text)
     if isinstance(value, list | tuple | range):
         return f"[{','.join(value_text(key, item) for item in value)}]"
-    allowed = "None, a truth value, a number, a text, a path or a list"
+    if isinstance(value, Mapping) and all(_WORD.fullmatch(str(name)) for name in value):
+        return f"{{{','.join(f'{name}:{value_text(key, it)}' for name, it in value.items())}}}"
+    allowed = "None, a truth value, a number, a text, a path, a list, or a mapping from words"
     raise ConfigError(f"{key}={value!r}: allowed is {allowed}.")

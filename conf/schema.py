@@ -28,6 +28,15 @@ class StrategyConfig:
     beta_1: Annotated[Decay, "fedadam: decay of the mean of the robots' steps"] = 0.0
     beta_2: Annotated[Decay, "fedadam: decay of the mean of their squares"] = 0.0
     tau: Annotated[NotNegative, "fedadam: added to the root of those squares"] = 0.0
+    target: Annotated[
+        str | None, "own: an installed strategy's name, or package:Class (docs/extending.md)"
+    ] = None
+    options: Annotated[Any, "own: a mapping, what its class is made with"] = None
+    scope: Annotated[
+        str,
+        Literal["pair", "online"],
+        "own: what it is applied to, online and target networks or the online ones",
+    ] = "pair"
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 
+from conf.errors import shown
 from conf.schema import Config, StrategyConfig
 from env.validate import Problem
 
@@ -15,6 +16,7 @@ KEYS: dict[str, frozenset[str]] = {
     "fedmedian": frozenset(),
     "fedprox": frozenset({"proximal_mu"}),
     "krum": frozenset({"malicious"}),
+    "own": frozenset({"target", "options", "scope"}),
     "none": frozenset(),
 }
 """The keys that each strategy reads, ``name`` aside."""
@@ -38,10 +40,11 @@ def problems(config: StrategyConfig, count: int, counted: str = "env.robots") ->
         return
     for field in fields(config):
         value = getattr(config, field.name)
-        if field.name in {"name", *KEYS[config.name]} or value == field.default:
+        default = getattr(StrategyConfig(), field.name)
+        if field.name in {"name", *KEYS[config.name]} or value == default:
             continue
         readers = " or ".join(name for name, keys in KEYS.items() if field.name in keys)
-        allowed = f"{field.default} with strategy={config.name}: only {readers} reads it"
+        allowed = f"{shown(default)} with strategy={config.name}: only {readers} reads it"
         yield f"strategy.{field.name}", value, allowed
     if config.name in _RULES:
         yield from _RULES[config.name](config, count, counted)
@@ -70,8 +73,18 @@ def _fedadam(config: StrategyConfig, count: int, counted: str) -> Iterator[Probl
         yield "strategy.tau", config.tau, allowed
 
 
+def _own(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
+    """Whether it is named; whether it is there is found where it is made."""
+    if config.target is None:
+        yield "strategy.target", None, "an installed strategy's name, or package:Class"
+    options = {} if config.options is None else config.options
+    if not (isinstance(options, dict) and all(isinstance(key, str) for key in options)):
+        yield "strategy.options", options, "a mapping such as {beta: 0.2}, or null"
+
+
 _RULES: dict[str, Callable[[StrategyConfig, int, str], Iterator[Problem]]] = {
     "fedadam": _fedadam,
     "fedprox": _fedprox,
     "krum": _krum,
+    "own": _own,
 }

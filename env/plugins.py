@@ -50,7 +50,7 @@ class PluginError(ValueError):
         self.problem: Problem = (key, name, allowed)
 
 
-class _Models:
+class Models:
     """The models that one key chooses from.
 
     Args:
@@ -110,8 +110,8 @@ class _Models:
         return [*self.ours, *sorted({*installed, *self._registered} - {*self.ours})]
 
 
-_CHANNELS = _Models("env.channel.model", ("indoor_hotspot", "file"), "risfleet.channel_models")
-_REWARDS = _Models("env.reward.model", ("paper",), "risfleet.rewards")
+_CHANNELS = Models("env.channel.model", ("indoor_hotspot", "file"), "risfleet.channel_models")
+_REWARDS = Models("env.reward.model", ("paper",), "risfleet.rewards")
 
 
 def register_channel_model(name: str, function: ChannelModel) -> None:
@@ -203,7 +203,7 @@ def own_reward(config: EnvConfig) -> Reward | None:
     return None if function is None else partial(_checked_reward, name, function)
 
 
-def _chosen(config: EnvConfig) -> tuple[tuple[_Models, str], ...]:
+def _chosen(config: EnvConfig) -> tuple[tuple[Models, str], ...]:
     return (_CHANNELS, config.channel.model), (_REWARDS, config.reward.model)
 
 

@@ -32,7 +32,10 @@ THEIRS = {
 # Keys that results were measured with and that are gone.
 GONE = {"agent.factored"}
 # Groups of entry points, for plug-ins.
-GROUPS = {"risfleet.rewards", "risfleet.channel_models"}
+GROUPS = {
+    "risfleet.rewards", "risfleet.channel_models", "risfleet.strategies",
+    "risfleet.run",  # a tag of MLflow's
+}  # fmt: skip
 SUFFIXES = ("py", "toml", "yaml", "yml", "md", "service", "png", "csv")
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.M | re.S)
 

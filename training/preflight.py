@@ -16,6 +16,7 @@ from conf import (
 )
 from conf.rooms import rooms_of
 from env.config import EnvConfig
+from env.plugins import PluginError
 from env.radio import channel_file
 from env.validate import Problem
 from training.engine_limits import max_concurrent_clients
@@ -59,6 +60,7 @@ def checked_training(overrides: Sequence[str]) -> Config:
     """
     config = checked(overrides)
     check_trackers(config)
+    check_strategies(config)
     if learns_nothing(config):
         say = "learned here: with it nothing learns, and risfleet evaluate plays it"
         raise ConfigError.of([("scheme.robots", config.scheme.robots, say)])
@@ -73,6 +75,22 @@ def check_trackers(config: Config) -> None:
     """
     if config.runtime.connection is None and (found := tracking.problems(config.run)):
         raise ConfigError.of(found)
+
+
+def check_strategies(config: Config) -> None:
+    """Checks that strategies of the user's own are there, where this machine runs the server.
+
+    Raises:
+        ConfigError: one is not, or does not take its options.
+    """
+    for strategy in (config.strategy, config.rooms.strategy):
+        if strategy.name == "own" and config.runtime.connection is None:
+            from training.aggregation.own import own_strategy  # Flower: only where it is wanted
+
+            try:
+                own_strategy(strategy)
+            except PluginError as error:
+                raise ConfigError.of([error.problem]) from error
 
 
 def checked_yaml(text: str) -> Config:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shlex
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent import NetworkShape
 from conf import Config, ConfigError, ap_network, from_yaml, robot_network, to_yaml, version
+from conf.python_values import value_text
 from conf.schema import LinkConfig, RunConfig, RuntimeConfig
 from storage.checkpoint_files import digest
 
@@ -79,7 +79,7 @@ def _anywhere(config: Config) -> Config:
 
 def _changes(own: Mapping[str, Any], default: Mapping[str, Any], above: str = "") -> Iterator[str]:
     for name, value in own.items():
-        if isinstance(value, dict):
+        if isinstance(default[name], dict):
             yield from _changes(value, default[name], f"{above}{name}.")
         elif value != default[name]:
-            yield f"{above}{name}={json.dumps(value)}"
+            yield f"{above}{name}={value_text(above + name, value)}"

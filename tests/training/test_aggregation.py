@@ -438,6 +438,9 @@ def test_each_file_fits_the_schema_and_builds(path: Path) -> None:
     config = OmegaConf.to_object(OmegaConf.merge(schema, OmegaConf.load(path)))
     assert isinstance(config, StrategyConfig)
     assert config.name == path.stem
+    if config.name == "own":
+        assert [key for key, *_ in problems(config, 3)] == ["strategy.target"]
+        config = dataclasses.replace(config, target="flwr.serverapp.strategy:FedTrimmedAvg")
     assert problems(config, 3) == []
     built = build_aggregator(config, 3)
     assert (built is None) == (path.stem == "none")
@@ -482,7 +485,7 @@ def test_the_default_is_the_papers_plain_mean() -> None:
 @pytest.mark.parametrize(
     ("config", "robots", "key", "allowed"),
     [
-        (StrategyConfig(name="fedsgd"), 3, "strategy.name", "fedmedian, fedprox, krum, none"),
+        (StrategyConfig(name="fedsgd"), 3, "strategy.name", "fedmedian, fedprox, krum, own, none"),
         (StrategyConfig(name="krum"), 2, "strategy.name", "env.robots of at least 3, not 2"),
         (StrategyConfig(name="krum", malicious=2), 5, "strategy.malicious", "from 0 to 1"),
         (StrategyConfig(name="fedprox"), 3, "strategy.proximal_mu", "above 0"),

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from flwr.app import Array, ArrayRecord
-from flwr.serverapp.strategy import FedAvg
+from flwr.app import ArrayRecord
+from flwr.serverapp.strategy import FedAvg, Strategy
 
 from agent.networks.limits import WEIGHT_LIMIT, magnitude
 from training.aggregation.flower_round import (
@@ -32,6 +32,7 @@ from training.aggregation.flower_round import (
     one_round,
     within_flower,
 )
+from training.aggregation.kept import Kept
 
 ONLINE, TARGET = slice(0, 1), slice(1, 2)
 """The rows of a robot's weights, shape (2, P)."""
@@ -55,7 +56,7 @@ class Aggregator:
 
     def __init__(
         self,
-        strategy: FedAvg,
+        strategy: Strategy,
         robots: int,
         *,
         scope: Scope = Scope.PAIR,
@@ -66,7 +67,8 @@ class Aggregator:
 
         Args:
             strategy: a fresh strategy. It is the aggregator's from here on, and all who upload take
-                part in each window: its sampling settings are overwritten.
+                part in each window: FedAvg's and its kin's sampling settings are overwritten. One
+                of another kind may ask fewer.
             robots: K, at least 1.
             scope: what the strategy is applied to.
             who: what uploads, for messages.
@@ -76,10 +78,11 @@ class Aggregator:
             raise ValueError(f"{robots} {who}s: at least 1 is needed")
         self._strategy = strategy
         self._robots, self._who, self._partial = robots, who, partial
-        self._parts: list[tuple[FedAvg, slice]] = [(strategy, slice(None))]
+        self._parts: list[tuple[Strategy, slice]] = [(strategy, slice(None))]
         if scope is Scope.ONLINE:
             self._parts = [(strategy, ONLINE), (FedAvg(), TARGET)]
         self._expect(robots)
+        self._kept = Kept(strategy)
         with within_flower():
             messages = configure(strategy, 1, ArrayRecord(), robots)
         self.restore({})
@@ -123,10 +126,7 @@ class Aggregator:
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
         """What the strategy keeps between windows, as copies; empty where it keeps nothing."""
-        kept: dict[str, npt.NDArray[Any]] = {}
-        for attribute in _KEPT:
-            kept.update(_pack(attribute, getattr(self._strategy, attribute, None)))
-        return kept
+        return self._kept.state()
 
     def restore(self, state: dict[str, npt.NDArray[Any]]) -> None:
         """Puts back what ``state`` gave, exactly; ``{}`` is a fresh strategy.
@@ -134,19 +134,14 @@ class Aggregator:
         Raises:
             ValueError: the state is another strategy's.
         """
-        attributes = [name for name in _KEPT if hasattr(self._strategy, name)]
-        foreign = [key for key in state if key.split("/")[0] not in attributes]
-        if foreign:
-            name = type(self._strategy).__name__
-            raise ValueError(f"{name} keeps no {', '.join(sorted(foreign))}: wrong strategy state")
-        for attribute in attributes:
-            setattr(self._strategy, attribute, _unpack(attribute, state))
+        self._kept.restore(state)
 
     def _expect(self, count: int) -> None:
         """Lets the strategy wait for so many, all of whom take part."""
         for part, _ in self._parts:
-            part.fraction_train = 1.0
-            part.min_train_nodes = part.min_available_nodes = count
+            if isinstance(part, FedAvg):
+                part.fraction_train = 1.0
+                part.min_train_nodes = part.min_available_nodes = count
 
     def _check(self, window: int, current: WeightRows, uploads: WeightRows) -> None:
         if window < 1:
@@ -165,36 +160,3 @@ class Aggregator:
                 f"window {window}: absurd weights from {named}, of {self._who}s 0 to"
                 f" {len(uploads) - 1}: finite ones of at most {WEIGHT_LIMIT:g} are taken"
             )
-
-
-# --- What a strategy keeps ------------------------------------------------------------------------
-
-_KEPT = ("current_arrays", "momentum_vector", "m_t", "v_t")
-"""Flower's attributes: FedAvgM has the first two, FedAdam and its kin all but the second."""
-
-
-def _pack(attribute: str, value: Any) -> dict[str, npt.NDArray[Any]]:
-    """Flattens a record, dict or list of arrays to ``attribute/kind/key``; None to nothing."""
-    if isinstance(value, ArrayRecord):
-        return {f"{attribute}/record/{key}": array.numpy() for key, array in value.items()}
-    if isinstance(value, dict):
-        return {f"{attribute}/dict/{key}": array.copy() for key, array in value.items()}
-    if isinstance(value, list):
-        return {f"{attribute}/list/{i}": array.copy() for i, array in enumerate(value)}
-    return {}
-
-
-def _unpack(attribute: str, state: dict[str, npt.NDArray[Any]]) -> Any:
-    """The inverse of ``_pack``; None where the state has nothing for the attribute."""
-    found = {}
-    kind = ""
-    for key, array in state.items():
-        name, kind_of_key, item = key.split("/")
-        if name == attribute:
-            found[item] = array.copy()
-            kind = kind_of_key
-    if kind == "record":
-        return ArrayRecord({item: Array(array) for item, array in found.items()})
-    if kind == "list":
-        return [found[str(i)] for i in range(len(found))]
-    return found or None

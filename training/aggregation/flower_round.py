@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from flwr.app import Array, ArrayRecord, ConfigRecord, Message, MetricRecord, RecordDict
 from flwr.serverapp import Grid
-from flwr.serverapp.strategy import FedAvg
+from flwr.serverapp.strategy import Strategy
 from flwr.supercore.task_identity import TaskIdentity
 
 WeightRows = npt.NDArray[np.float32]
@@ -32,30 +32,40 @@ class _NodeList:
 
 
 def one_round(
-    strategy: FedAvg, window: int, current: WeightRows, uploads: WeightRows
+    strategy: Strategy, window: int, current: WeightRows, uploads: WeightRows
 ) -> npt.NDArray[np.float64]:
-    """Configures and aggregates: current (R, P) and uploads (K, R, P) give (R, P)."""
+    """Configures and aggregates: current (R, P) and uploads (K, R, P) give (R, P).
+
+    Robots that a strategy does not ask have nothing to say.
+    """
     messages = configure(strategy, window, _record(current), len(uploads))
     replies = [
-        _reply(strategy, message, _record(upload))
-        for message, upload in zip(messages, uploads, strict=True)
+        _reply(strategy, message, _record(uploads[message.metadata.dst_node_id - 1]))
+        for message in messages
     ]
     arrays, _ = strategy.aggregate_train(window, replies)
     if arrays is None:
-        raise ValueError(f"{type(strategy).__name__} refuses to aggregate {len(uploads)} robots")
-    return arrays[_ARRAY].numpy()
+        raise ValueError(f"{type(strategy).__name__} refuses to aggregate {len(replies)} robots")
+    found = arrays[_ARRAY].numpy() if _ARRAY in arrays else None
+    if found is None or found.shape != current.shape:
+        given = {name: array.shape for name, array in arrays.items()}
+        say = f"{given} where {{{_ARRAY!r}: {current.shape}}} is expected"
+        raise ValueError(f"{type(strategy).__name__} gave arrays of shapes {say}")
+    return found
 
 
-def configure(strategy: FedAvg, window: int, arrays: ArrayRecord, robots: int) -> list[Message]:
+def configure(strategy: Strategy, window: int, arrays: ArrayRecord, robots: int) -> list[Message]:
     """The messages of ``configure_train``, sorted by robot: Flower samples in random order."""
     grid = cast(Grid, _NodeList(robots))
     messages = strategy.configure_train(window, arrays, ConfigRecord(), grid)
     return sorted(messages, key=lambda message: message.metadata.dst_node_id)
 
 
-def _reply(strategy: FedAvg, message: Message, arrays: ArrayRecord) -> Message:
-    metrics = MetricRecord({strategy.weighted_by_key: 1})
-    content = RecordDict({strategy.arrayrecord_key: arrays, "metrics": metrics})
+def _reply(strategy: Strategy, message: Message, arrays: ArrayRecord) -> Message:
+    """What a robot answers, under the names that FedAvg and its kin have for it."""
+    metrics = MetricRecord({getattr(strategy, "weighted_by_key", "num-examples"): 1})
+    name = getattr(strategy, "arrayrecord_key", "arrays")
+    content = RecordDict({name: arrays, "metrics": metrics})
     return Message(content, reply_to=message)
 
 
@@ -71,9 +81,10 @@ def _record(rows: WeightRows) -> ArrayRecord:
 
 def client_config(messages: Sequence[Message]) -> dict[str, float]:
     """The configuration that a strategy's messages carry, without the number of the round."""
-    (config,) = messages[0].content.config_records.values()
     return {
         key: float(value)
+        for message in messages[:1]
+        for config in message.content.config_records.values()
         for key, value in config.items()
         if key != "server-round" and isinstance(value, int | float)
     }

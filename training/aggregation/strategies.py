@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from flwr.serverapp.strategy import FedAdam, FedAvg, FedAvgM, FedMedian, FedProx, Krum
+from flwr.serverapp.strategy import FedAdam, FedAvg, FedAvgM, FedMedian, FedProx, Krum, Strategy
 
 from conf import StrategyConfig
 from training.aggregation.aggregator import Aggregator, Scope
+from training.aggregation.own import own_strategy
 
 
 def build_aggregator(
@@ -31,7 +32,8 @@ def build_aggregator(
     build = STRATEGIES[config.name]
     if build is None:
         return None
-    scope = Scope.ONLINE if config.name in SERVER_OPTIMISERS else Scope.PAIR
+    online = config.name in SERVER_OPTIMISERS or config.scope == "online"
+    scope = Scope.ONLINE if online else Scope.PAIR
     return Aggregator(build(config), robots, scope=scope, who=who, partial=partial)
 
 
@@ -61,13 +63,14 @@ def _fedmedian(config: StrategyConfig) -> FedAvg:
     return FedMedian()
 
 
-STRATEGIES: dict[str, Callable[[StrategyConfig], FedAvg] | None] = {
+STRATEGIES: dict[str, Callable[[StrategyConfig], Strategy] | None] = {
     "fedavg": _fedavg,
     "fedavgm": _fedavgm,
     "fedadam": _fedadam,
     "fedmedian": _fedmedian,
     "fedprox": _fedprox,
     "krum": _krum,
+    "own": own_strategy,
     "none": None,
 }
 
