@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from env.apis.parallel_env import RISFleetParallelEnv
     from env.apis.single_robot import SingleRobotEnv
+    from env.apis.single_robot_vector import SingleRobotVectorEnv
     from env.checks import checked_config
     from env.config import EnvConfig
     from env.plugins import register_channel_model, register_reward
@@ -25,6 +26,7 @@ __all__ = [
     "RISFleetParallelEnv",
     "Scenario",
     "SingleRobotEnv",
+    "SingleRobotVectorEnv",
     "World",
     "checked_config",
     "register_channel_model",
@@ -38,6 +40,7 @@ _HOMES = {
     "RISFleetParallelEnv": "env.apis.parallel_env",
     "Scenario": "env.scenario",
     "SingleRobotEnv": "env.apis.single_robot",
+    "SingleRobotVectorEnv": "env.apis.single_robot_vector",
     "World": "env.world",
     "checked_config": "env.checks",
     "register_channel_model": "env.plugins",

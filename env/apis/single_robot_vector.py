@@ -87,7 +87,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._sources: list[np.random.Generator] = []
         self._seeds: list[int] = []
-        self._ended = np.ones(num_envs, dtype=bool)
+        self._begun, self._ended = False, np.zeros(num_envs, dtype=bool)
         self._draws = self.config.channel.fading == "slot"
 
     @property  # type: ignore[misc]  # nobody sets them
@@ -124,12 +124,11 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         begun, options = reset_mask(options, self.num_envs)
         starts = starts_asked(options)
         cell = None if starts is None else start_cells(self.world, starts)
-        fresh = not self._sources
-        if fresh and not begun.all():
+        if not (self._begun or begun.all()):
             raise ResetNeeded("no episode has begun yet: the first reset takes no reset_mask")
         self._seed(seeds(seed, self.num_envs), begun)
         self._begin(begun, cell)
-        self._ended = self._ended & ~begun
+        self._begun, self._ended = True, self._ended & ~begun
         return self._seen(), infos_of(self._columns(), begun)
 
     def step(self, actions: NDArray[np.int64]) -> Slot:
@@ -139,7 +138,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
             ResetNeeded: no episode has begun, or one has ended and nobody resets it.
             ValueError: an action outside the space.
         """
-        if not self._sources or (self._mode is AutoresetMode.DISABLED and self._ended.any()):
+        if not self._begun or (self._mode is AutoresetMode.DISABLED and self._ended.any()):
             raise ResetNeeded("an episode is over or has not begun: call reset")
         actions = np.asarray(actions)
         if not self.action_space.contains(actions):

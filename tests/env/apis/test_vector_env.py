@@ -158,6 +158,7 @@ def test_wrong_arguments_are_named(kwargs: dict[str, Any], message: str) -> None
 def test_wrong_calls_are_named() -> None:
     ours = batched(2, config=CONFIGS["three_robots"], autoreset_mode="Disabled")
     good = np.zeros(2, dtype=np.int64)
+    assert len(ours.np_random) == len({*ours.np_random_seed}) == 2
     with pytest.raises(ResetNeeded, match="call reset"):
         ours.step(good)
     with pytest.raises(ResetNeeded, match="takes no reset_mask"):

@@ -340,6 +340,7 @@ import env.world, env.oracles, env.episode, env.local_env
 def test_the_views_are_names_of_the_package() -> None:
     assert env.RISFleetParallelEnv is RISFleetParallelEnv
     assert env.SingleRobotEnv is SingleRobotEnv
+    assert env.SingleRobotVectorEnv.__module__ == "env.apis.single_robot_vector"
     with pytest.raises(AttributeError, match="nothing"):
         _ = env.nothing
 
