@@ -29,6 +29,11 @@ EXAMPLES = FOLDER.parent / "docs" / "examples"
 
 
 @pytest.fixture(autouse=True)
+def _examples_find_each_other(monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+
+
+@pytest.fixture(autouse=True)
 def _global_generator_as_found():
     """Stable-Baselines3 seeds all global generators; what follows is not to notice."""
     python, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002  # SB3's seed
@@ -142,6 +147,11 @@ SMALL = (
 """A run of BenchMARL's of two batches, evaluated at its end."""
 
 
+def settings_of(algorithm, *more):
+    with initialize_config_dir(str(EXAMPLES), version_base=None):
+        return compose("benchmarl_fleet", [f"algorithm={algorithm}", *SMALL, *more])
+
+
 def test_worlds_in_a_batch_are_the_absorbing_fleet_to_the_bit():
     fleet = example("benchmarl_fleet")
     config = {"robots": 3, "motion": {"max_slots": 60}}
@@ -185,11 +195,27 @@ def test_worlds_in_a_batch_keep_torchrls_rules_and_begin_anew_one_by_one():
     assert not following["done"].any()
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ("env.robots=0", r"env\.robots=0: allowed is a number from 1 to 64"),
+        (
+            "evaluate_every=45",
+            "evaluate_every=45: allowed is a multiple of the 30 slots in a batch",
+        ),
+    ],
+)
+def test_what_benchmarl_cannot_train_is_named(wrong, said, tmp_path):
+    fleet = example("benchmarl_fleet")
+    with pytest.raises(ValueError, match=said):
+        fleet.train(settings_of("iql", wrong), tmp_path)
+    assert not [*tmp_path.iterdir()]
+
+
 @pytest.mark.parametrize("algorithm", ["mappo", "qmix", "vdn", "iql"])
 def test_benchmarl_trains_robots_and_access_point(algorithm, tmp_path):
-    fleet = example("benchmarl_fleet")
-    with initialize_config_dir(str(EXAMPLES), version_base=None):
-        settings = compose("benchmarl_fleet", [f"algorithm={algorithm}", *SMALL])
+    fleet = example("benchmarl_fleet")  # with it BenchMARL's own settings are known
+    settings = settings_of(algorithm)
     trained = fleet.train(settings, tmp_path)
     assert trained.total_frames == 60
     assert list(trained.group_map) == [fleet.ROBOTS, fleet.ACCESS_POINT]
