@@ -109,6 +109,30 @@ def test_torchrls_own_wrapper_takes_the_fleet_as_it_is():
 
 
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
+def test_torchrls_own_wrapper_takes_robots_that_stay_without_a_mask_of_agents():
+    fleet = example("torchrl_fleet")
+    view = fleet.env.RISFleetParallelEnv(
+        {"robots": 2, "motion": {"max_slots": 120}}, absorbing=True
+    )
+    goals = view.world.floor.centres()[view.world.destinations]
+    options = {"starts_m": (goals - [[0.5, 0.0], [1.5, 0.0]]).tolist()}
+    groups = {"robots": view.robots, "access_point": [fleet.AP]}
+    made = fleet.PettingZooWrapper(view, group_map=groups, return_state=True, done_on_any=False)
+    slot, masks, paid, ends = made.reset(options=options), [], [], []
+    for _ in range(3):
+        slot["robots", "action"] = torch.full((2,), 12)  # east, at the highest power
+        slot["access_point", "action"] = torch.zeros(1, dtype=torch.int64)
+        slot = made.step(slot)["next"]
+        masks.append(slot["robots", "action_mask"].sum(-1).tolist())
+        paid.append((slot["robots", "reward"][:, 0] != 0).tolist())
+        ends.append(slot["done"].item())
+    assert masks == [[1, 24], [1, 24], [24, 24]]  # TorchRL masks nobody once all are gone
+    assert paid == [[True, True], [False, True], [False, True]]
+    assert ends == [False, False, True]
+    assert slot["state"].tolist() == [0.0] * 16
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
 def test_torchrl_learns_nothing_from_robots_that_have_arrived():
     fleet = example("torchrl_fleet")
     view = fleet.env.RISFleetParallelEnv({"robots": 2})
