@@ -46,8 +46,8 @@ def grid_texts(grid: Mapping[str, Iterable[Any]]) -> list[str]:
     """
     found = []
     for key, values in grid.items():
-        listed = None if isinstance(values, str | Mapping) else [*values]
-        if not listed:
+        several = isinstance(values, Iterable) and not isinstance(values, str | Mapping)
+        if not (listed := [*values] if several else []):
             raise ConfigError(f"{key}={values!r}: allowed is a list of values.")
         found.append(f"{key}={','.join(value_text(key, value) for value in listed)}")
     return found

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
         register_channel_model,
         register_reward,
     )
+    from risfleet.evaluation import Evaluation, evaluate
     from risfleet.replays import Replay
-    from risfleet.runs import Evaluation, Run, evaluate, load
+    from risfleet.runs import Run, load
     from risfleet.training import SweepError, compose, make_env, sweep, train
     from training.policy import AccessPointPolicy, Policy
 
@@ -61,7 +62,7 @@ _HOMES = {
     "AccessPointPolicy": "training.policy",
     "Config": "conf",
     "ConfigError": "conf",
-    "Evaluation": "risfleet.runs",
+    "Evaluation": "risfleet.evaluation",
     "Policy": "training.policy",
     "RISFleetParallelEnv": "env",
     "Replay": "risfleet.replays",
@@ -69,7 +70,7 @@ _HOMES = {
     "SingleRobotEnv": "env",
     "SweepError": "risfleet.training",
     "compose": "risfleet.training",
-    "evaluate": "risfleet.runs",
+    "evaluate": "risfleet.evaluation",
     "load": "risfleet.runs",
     "make_env": "risfleet.training",
     "register_channel_model": "env",
@@ -90,7 +91,8 @@ def __getattr__(name: str) -> Any:
 
     if hidden := hidden_package():
         raise ImportError(hidden)
-    return getattr(import_module(_HOMES[name]), name)
+    found = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    return found
 
 
 def __dir__() -> list[str]:

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from conf import Config, ConfigError, has_rooms, learns_nothing
-from conf.python_values import Overrides, override_texts
+from conf import Config, ConfigError, has_rooms
 from conf.user_paths import user_path
-from env.episode import EpisodeMeasures
 from experiments.analysis import rooms
-from experiments.analysis.frozen import check_options, play, without_weights
+from experiments.analysis.frozen import check_options
 from experiments.console.display import describe, summary_table
 from experiments.console.mishaps import in_words
 from experiments.runtimes.folders import near
 from experiments.viewer.replays import beside
+from risfleet.evaluation import Evaluation, evaluation_of
 from risfleet.replays import Replay
 from training.building import known_rooms
 from training.policy import AccessPointPolicy, Policy
@@ -32,39 +29,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from env import RISFleetParallelEnv
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """What a policy is worth: means over held-out episodes.
-
-    Attributes:
-        epsilon: probability of a random action that it was played with.
-        success: share of the robots that arrived.
-        path_ratio: slots driven over the shortest length, of robots that arrived.
-        reward: total of the robots' rewards.
-        ee: energy efficiency in bit/s/Hz/J, the objective (5a).
-        ee_bits_per_joule: all bits over all energy, in bit/J.
-        sum_rate: sum of the rates in bit/s/Hz.
-        min_rate: least of the robots' mean rates in bit/s/Hz.
-        sic_violations: share of robot-slots whose signal broke Eq. (2).
-        projections: share of slots in which the access point changed the picks.
-        slots: length of an episode.
-        episodes: the same of each episode, arrays; None where rooms were played.
-    """
-
-    epsilon: float
-    success: float
-    path_ratio: float
-    reward: float
-    ee: float
-    ee_bits_per_joule: float
-    sum_rate: float
-    min_rate: float
-    sic_violations: float
-    projections: float
-    slots: float
-    episodes: EpisodeMeasures | None = field(default=None, repr=False)
 
 
 class Run:
@@ -178,7 +142,7 @@ class Run:
         if has_rooms(self.config):
             raise ConfigError(f"{self.path} has rooms: allowed is Run.evaluate_rooms.")
         weights = self._folder.read_weights(self.config)
-        return _evaluation(self.config, *weights, episodes, epsilon, seed)
+        return evaluation_of(self.config, *weights, episodes, epsilon, seed)
 
     def evaluate_rooms(
         self,
@@ -259,38 +223,6 @@ def load(path: str | os.PathLike[str]) -> Run:
     run = Run(user_path(os.fspath(path)))
     assert run.config is not None  # reads it, and so refuses a folder of something else
     return run
-
-
-def evaluate(
-    overrides: Overrides, *, episodes: int | None = None, seed: int | None = None
-) -> Evaluation:
-    """Plays what learns nothing on held-out starts, such as ``baseline=shortest_canonical``.
-
-    Args:
-        overrides: see ``train``.
-        episodes: how many; ``evaluation.episodes`` if None.
-        seed: picks the starts; the configuration's own if None.
-
-    Raises:
-        ConfigError: a mistake in the overrides, or something learns with them.
-    """
-    check_options(episodes=episodes, seed=seed)
-    config, robots, ap = without_weights(override_texts(overrides))
-    return _evaluation(config, robots, ap, episodes, 0.0, seed)
-
-
-def _evaluation(
-    config: Config,
-    robots: NDArray[np.float32],
-    ap: NDArray[np.float32],
-    episodes: int | None,
-    epsilon: float,
-    seed: int | None,
-) -> Evaluation:
-    if epsilon and learns_nothing(config):
-        raise ConfigError(f"epsilon={epsilon:g}: allowed is 0 where nothing learns.")
-    (found,) = play(config, robots, ap, episodes, (epsilon,), seed)
-    return Evaluation(epsilon, **found.summary(), episodes=found)
 
 
 def _table(path: Path) -> pd.DataFrame | dict[str, NDArray[Any]]:

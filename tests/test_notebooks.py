@@ -87,6 +87,7 @@ def test_the_first_run_is_kept_as_it_was_executed() -> None:
     nbformat.validate(notebook)
 
 
+@pytest.mark.slow
 def test_a_kernels_interrupt_ends_a_run_and_keeps_it(
     tmp_path: Path, tiny_overrides: tuple[str, ...]
 ) -> None:

@@ -70,6 +70,8 @@ class Watch(Showing):
                 elif not terminal and time.monotonic() - printed >= LINE_PERIOD_S:
                     printed = time.monotonic()
                     self._console.print(self._line(statuses), highlight=False, soft_wrap=True)
+            if cell is not None:
+                cell.show(Text(self._line(self._read())))
 
     def _read(self) -> dict[Path, dict[str, Any]]:
         """What runs last wrote; those that are still to go on are in the state "stopped"."""
@@ -97,7 +99,7 @@ class Watch(Showing):
             text += f", {failed} failed"
         total_s, worked_s = sum(self._costs_s.values()), self._worked_s(statuses)
         since_s = worked_s - self._before_s
-        if since_s > SURE * total_s:
+        if since_s > SURE * total_s and not self._ended.is_set():
             seconds = (total_s - worked_s) / since_s * (time.monotonic() - self._began)
             text += f", about {max(seconds / 60, 1):.0f} min left"
         return text

@@ -70,7 +70,7 @@ def test_a_grid_lists_every_combination() -> None:
     assert found[1] == ["seed=0", "strategy=fedavg", "agent.hidden=[4,4]"]
 
 
-@pytest.mark.parametrize("values", ["0,1", [], {"a": 1}])
+@pytest.mark.parametrize("values", ["0,1", 3, [], {"a": 1}])
 def test_a_grid_needs_lists(values: Any) -> None:
     with pytest.raises(ConfigError, match="allowed is a list of values"):
         grid_texts({"seed": values})

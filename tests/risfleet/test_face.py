@@ -282,11 +282,7 @@ def test_a_building_is_its_rooms(building_run: Path) -> None:
 
 @pytest.mark.parametrize(
     ("jobs", "launcher"),
-    [
-        (1, []),
-        (None, ["hydra/launcher=basic"]),
-        pytest.param(2, [], marks=pytest.mark.slow),
-    ],
+    [(None, ["hydra/launcher=basic"]), pytest.param(2, [], marks=pytest.mark.slow)],
 )
 def test_a_sweep_gives_what_single_runs_give(
     tiny_list: list[str], jobs: int | None, launcher: list[str]
