@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -83,7 +84,7 @@ def check_options(**options: Any) -> None:
         if value is None:
             continue
         if name == "epsilon":
-            if not (isinstance(value, int | float) and 0 <= value <= 1):
+            if not (isinstance(value, Real) and 0 <= value <= 1):
                 found.append((name, value, "a number from 0 to 1"))
             continue
         least = 1 if name == "episodes" else 0
