@@ -29,7 +29,9 @@ GROUPS = ("env", "agent", "strategy", "runtime", "baseline", "experiment")
 PLACES = ("hydra.sweep.dir", "hydra.sweep.subdir", "hydra.run.dir")
 
 
-def parse(texts: Sequence[str], *, sweep: bool = False, launcher: bool = False) -> list[Override]:
+def parse(
+    texts: Sequence[str], *, sweep: bool = False, launcher: bool = False, sweeper: bool = False
+) -> list[Override]:
     """Parses overrides and checks each by itself.
 
     What an override says is read from what comes back, nowhere from its text: ``input_line`` is
@@ -40,6 +42,7 @@ def parse(texts: Sequence[str], *, sweep: bool = False, launcher: bool = False) 
         sweep: whether an override may list several values.
         launcher: whether Hydra's launcher may be chosen; beside it and ``hydra.searchpath`` no key
             of Hydra's has an effect.
+        sweeper: whether Hydra's sweeper may be, too.
 
     Raises:
         ConfigError: names the first mistake.
@@ -49,7 +52,7 @@ def parse(texts: Sequence[str], *, sweep: bool = False, launcher: bool = False) 
     roots = [FOLDER, *own_groups.folders_of(found)]
     for text, override in zip(texts, found, strict=True):
         if is_hydras(override):
-            _check_hydras(text, override, launcher=launcher)
+            _check_hydras(text, override, launcher=launcher, sweeper=sweeper)
         elif override.key_or_group != own_groups.KEY:
             _check(text, override, schema, roots, sweep=sweep)
     return found
@@ -126,20 +129,22 @@ def _set_writable(node: Any) -> None:
             _set_writable(node._get_node(key))
 
 
-def _check_hydras(text: str, override: Override, *, launcher: bool) -> None:
+def _check_hydras(text: str, override: Override, *, launcher: bool, sweeper: bool) -> None:
     key = override.key_or_group
     if key in PLACES:
         say = "run.dir=FOLDER, which a sweep's runs lie in" if launcher else "run.dir=FOLDER"
         raise ConfigError(f"{text.lstrip('+')}: allowed is {say}.")
     if not launcher:
         raise ConfigError(f"{text}: allowed are keys of a run: Hydra's own have no effect here.")
-    if key != "hydra/launcher" and not key.startswith("hydra.launcher."):
+    plugins = ("launcher", "sweeper") if sweeper else ("launcher",)
+    starts = tuple(f"hydra{sign}{name}{end}" for name in plugins for sign, end in ("//", ".."))
+    if key not in [f"hydra/{name}" for name in plugins] and not key.startswith(starts):
+        names = " and ".join(f"hydra/{name}=NAME and hydra.{name}.KEY" for name in plugins)
         raise ConfigError(
-            f"{text}: allowed of Hydra's own keys are hydra/launcher=NAME and hydra.launcher.KEY:"
-            " no other has an effect here."
+            f"{text}: allowed of Hydra's own keys are {names}: no other has an effect here."
         )
     if override.is_sweep_override():
-        raise ConfigError(f"{text}: allowed is one launcher for all runs.")
+        raise ConfigError(f"{text}: allowed is one {' or '.join(plugins)} for all runs.")
 
 
 def _check(
@@ -212,7 +217,7 @@ def _check_value(key: str, override: Override, schema: DictConfig) -> None:
         )
     if key in PATHS and override.value() == "":
         raise ConfigError.of([(key, "", "a path")])
-    value, hint = override.value(), _hint(key)
+    value, hint = override.value(), hint_of(key)
     try:
         OmegaConf.update(schema, key, value)
     except OmegaConfBaseException as error:
@@ -224,19 +229,29 @@ def _check_value(key: str, override: Override, schema: DictConfig) -> None:
         raise ConfigError.of([(key, value, refused(value, hint) or "a value")])
 
 
-def _hint(key: str) -> Any:
-    """The annotation of a key's field."""
+def hint_of(key: str) -> Any:
+    """The annotation of a key's field.
+
+    Raises:
+        ConfigError: there is no such key.
+    """
+    check_key(key)
     *above, name = key.split(".")
     group: type = type(check_key(".".join(above)) if above else Config())
     return hints_of(group)[name]
 
 
 def _unknown_key(key: str, siblings: Sequence[str]) -> str:
-    every = [*_all_keys(Config()), *GROUPS]
+    every = [*all_keys(), *GROUPS]
     close = difflib.get_close_matches(key, every, n=3, cutoff=0.6)
     if close:
         return f"{key} is no key: did you mean {' or '.join(close)}?"
     return f"{key} is no key: allowed here are {', '.join(siblings) or 'no further keys'}."
+
+
+def all_keys() -> list[str]:
+    """Every key of a run."""
+    return _all_keys(Config())
 
 
 def _all_keys(value: Any, above: str = "") -> list[str]:

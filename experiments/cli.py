@@ -30,6 +30,7 @@ usage: risfleet COMMAND ...
   keys DIR [options]         makes the certificates and keys of a secured fleet
 
   COMMAND --help             what a command takes; --version prints the version
+  --completion SHELL         prints what completes this command in bash, zsh or fish
   --config-dir DIR           with KEY=VALUE: groups and floor plans of your own, beside ours
 
 Examples:
@@ -86,6 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given[0] == "--version":
         print(f"risfleet {version('risfleet')}")
         return 0
+    if given[0] in ("--completion", "--complete"):
+        return _complete(given)
     name, rest = given[0], given[1:]
     if name not in COMMANDS:
         print(f"risfleet: {name!r} is no command: there are {', '.join(COMMANDS)}", file=sys.stderr)
@@ -109,6 +112,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         print(f"risfleet: {in_words(error)}", file=sys.stderr)
         return 1
+
+
+def _complete(given: list[str]) -> int:
+    """Prints a shell's script, or for that script what completes a line; the exit status."""
+    from conf import ConfigError
+    from experiments.console import completion
+
+    try:
+        if given[0] == "--completion":
+            print(completion.script(" ".join(given[1:])))
+        else:
+            print("\n".join(completion.asked(COMMANDS, COMPOSING)))
+    except ConfigError as error:
+        print(f"risfleet: {error}", file=sys.stderr)
+        return 2
+    return 0
 
 
 def _composable(name: str, arguments: list[str]) -> list[str]:

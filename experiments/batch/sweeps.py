@@ -55,7 +55,7 @@ def planned_sweep(overrides: Sequence[str]) -> Iterator[Sweep]:
     launcher = lines([item for item in parsed if is_hydras(item)])
     runs = [item for item in parsed if not is_hydras(item) and item.key_or_group != DIR]
     configs = [checked_training(combination) for combination in combinations(runs)]
-    folder = _folder([item for item in parsed if item.key_or_group == DIR])
+    folder = sweep_folder([item for item in parsed if item.key_or_group == DIR])
     if folder is not None:
         configs = _numbered(configs, folder)
         _check_unused(folder, configs)
@@ -94,8 +94,12 @@ def train_in_turn(
     return BatchOutcome(tuple(done), failed, int(bool(failed)))
 
 
-def _folder(given: Sequence[Override]) -> Path | None:
-    """The sweep's folder, None for a new one."""
+def sweep_folder(given: Sequence[Override]) -> Path | None:
+    """The sweep's folder by overrides of ``run.dir``, None for a new one.
+
+    Raises:
+        ConfigError: it is one for each run.
+    """
     value = given[-1].value() if given else None
     if value is None:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 
 from conf import ConfigError
@@ -16,18 +17,29 @@ FLAGS = ("-m", "--multirun", "--cfg")
 
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
-    flags = [item for item in arguments if item.startswith("-")]
-    overrides = [item for item in arguments if not item.startswith("-")]
     try:
+        objective, arguments = _objective(arguments)
+        flags = [item for item in arguments if item.startswith("-")]
+        overrides = [item for item in arguments if not item.startswith("-")]
         _check_flags(flags, resumes=resume.asked(overrides))
         if "--cfg" in flags:
             print(commented_yaml(checked(overrides)), end="")
             return 0
         if flags:
-            return train_all(overrides)
+            return train_all(overrides, objective)
+        if objective is not None:
+            raise ConfigError(f"--objective {objective}: allowed with -m hydra/sweeper=NAME.")
         return train(*planned(overrides)).status
     except ERRORS as error:
         return print_error(error)
+
+
+def _objective(arguments: Sequence[str]) -> tuple[str | None, list[str]]:
+    """What stands behind ``--objective``, None without it, and the other arguments."""
+    parser = argparse.ArgumentParser("risfleet train", add_help=False, allow_abbrev=False)
+    parser.add_argument("--objective", metavar="MEASURE")
+    given, rest = parser.parse_known_args(arguments)
+    return given.objective, rest
 
 
 def _check_flags(flags: Sequence[str], *, resumes: bool) -> None:
