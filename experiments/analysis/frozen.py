@@ -84,7 +84,7 @@ def check_options(**options: Any) -> None:
         if value is None:
             continue
         if name == "epsilon":
-            if not (isinstance(value, Real) and 0 <= value <= 1):
+            if not (isinstance(value, Real) and 0 <= float(value) <= 1):
                 found.append((name, value, "a number from 0 to 1"))
             continue
         least = 1 if name == "episodes" else 0

@@ -72,7 +72,8 @@ def build_sweeper(trial: Trial, hydra: Sequence[str], place: Path) -> Sweeper:
     quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null"]
     where = [f"hydra.sweep.dir={quoted(str(place))}", "hydra.sweep.subdir=."]
     # With a seed the same command chooses the same values anew, and finds their runs done.
-    ours = ["direction=maximize", "n_jobs=1", "sampler.seed=0"]
+    ours = ["direction=maximize", "n_jobs=1"]
+    ours += [] if "hydra/sweeper/sampler=grid" in hydra else ["sampler.seed=0"]
     ours = [f"hydra.sweeper.{item}" for item in ours if "hydra/sweeper=optuna" in hydra]
 
     def task(node: DictConfig) -> float:
