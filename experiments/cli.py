@@ -117,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _complete(given: list[str]) -> int:
     """Prints a shell's script, or for that script what completes a line; the exit status."""
     from conf import ConfigError
-    from experiments.console import completion
+    from experiments import completion
 
     try:
         if given[0] == "--completion":

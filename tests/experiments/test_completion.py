@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from experiments.cli import COMMANDS, COMPOSING, main
-from experiments.console.completion import candidates
+from experiments.completion import candidates
 
 
 def completed(
