@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import logging
-import math
 import os
 import random
 import sys
@@ -229,7 +228,7 @@ def test_mlflow_holds_a_run_and_what_follows_as_one(tiny: Tiny, tmp_path: Path) 
     assert logged == column(run, "reward")
     greedy = summary["evaluation"]["greedy"]
     for name in MEASURES:
-        assert found.data.metrics.get(f"final/greedy/{name}", math.nan) == pytest.approx(
+        assert found.data.metrics[f"final/greedy/{name}"] == pytest.approx(
             greedy[name], nan_ok=True
         )
     assert not logging.getLogger("training.recording.tracking").disabled

@@ -35,8 +35,11 @@ class Tracker(Protocol):
         ...
 
 
-def results(summary: Mapping[str, Any]) -> dict[str, float | None]:
-    """What the final weights are worth, by names such as ``final/greedy/success``."""
+def results(summary: Mapping[str, Any]) -> dict[str, float]:
+    """What the final weights are worth, by names such as ``final/greedy/success``.
+
+    What is no number is kept: it takes the place of what an earlier part of the run came to.
+    """
     return {
         f"final/{kind}/{name}": value
         for kind, measures in summary["evaluation"].items()

@@ -73,8 +73,7 @@ class MLflow:
             return
         status = "FAILED" if summary is None else "FINISHED"
         if summary is not None:
-            numbers = {name: it for name, it in results(summary).items() if it is not None}
-            self._add(summary["ticks"], numbers)
+            self._add(summary["ticks"], results(summary))
             for name, digest in summary["digest"].items():
                 self._client.set_tag(self._id, f"risfleet.digest.{name}", digest)
         self._write()
