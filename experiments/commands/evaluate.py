@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
         "what",
         nargs="+",
         metavar="RUN | KEY=VALUE",
-        help="a run's folder or its weights.safetensors, or keys to set of what learns nothing",
+        help="a run's folder or its file of weights, or keys to set of what learns nothing",
     )
     parser.add_argument("--episodes", type=positive, help="held-out episodes to play")
     parser.add_argument(
