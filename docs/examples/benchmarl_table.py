@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import sys
 from collections import defaultdict
-from collections.abc import Iterable
 from pathlib import Path
 from statistics import fmean
 
@@ -42,9 +41,8 @@ def converged(rows: Rows) -> str:
     return "never"
 
 
-def line(name: str, runs: Iterable[Path]) -> str:
-    """A row of the table, of an algorithm's runs in the order of their seeds."""
-    paths = sorted(runs)
+def line(name: str, paths: list[Path]) -> str:
+    """A row of the table, of an algorithm's runs."""
     random, greedy = ([evaluations(path, e) for path in paths] for e in (0.05, 0.0))
     success = [last(rows, "success") for rows in random]
     cells = [
@@ -66,12 +64,19 @@ def table(sweep: Path, *federated: Path) -> str:
     for path in sorted(sweep.glob("*-*/evaluations.csv")):
         runs[path.parent.name.rpartition("-")[0].upper()].append(path)
     for folder in federated:
-        runs[folder.name] = [*folder.glob("*/evaluations.csv")]
+        runs[folder.name] = sorted(folder.glob("*/evaluations.csv"))
+    begun = {
+        name: [path for path in paths if evaluations(path, 0.0)] for name, paths in runs.items()
+    }
     columns = ("algorithm", "success by seed", "mean", "worst", "greedy", "EE by seed", "mean",
                "converged, ticks")  # fmt: skip
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
-    return "\n".join([*lines, *(line(name, paths) for name, paths in runs.items() if paths)])
+    return "\n".join([*lines, *(line(name, paths) for name, paths in begun.items() if paths)])
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2 or not all(Path(name).is_dir() for name in sys.argv[1:]):
+        sys.exit(
+            f"folders={sys.argv[1:]}: allowed is a folder of BenchMARL's runs, then of F-DRL's"
+        )
     print(table(*map(Path, sys.argv[1:])))
