@@ -155,7 +155,7 @@ class HeldOut(Callback):
 
     def _write(self, row: Mapping[str, float]) -> None:
         new = not self._path.exists()
-        with self._path.open("a", newline="") as file:
+        with self._path.open("a", encoding="utf-8", newline="") as file:
             writer = csv.DictWriter(file, row.keys())
             if new:
                 writer.writeheader()

@@ -22,7 +22,7 @@ Rows = list[dict[str, float]]
 
 def evaluations(path: Path, epsilon: float) -> Rows:
     """A run's evaluations with an epsilon, in their order."""
-    with path.open(newline="") as file:
+    with path.open(encoding="utf-8", newline="") as file:
         rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
     return [row for row in rows if row["epsilon"] == epsilon]
 
