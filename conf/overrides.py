@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import difflib
 import itertools
+import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -21,7 +22,6 @@ from conf import own_groups
 from conf.errors import ConfigError, shown
 from conf.schema import Config
 from conf.user_paths import LISTED, PATHS, with_quoted_path
-from env.texts import read_unmarked_text
 from env.validate import hints_of, refused
 
 FOLDER = Path(__file__).parent
@@ -137,8 +137,9 @@ def _check_hydras(text: str, override: Override, *, launcher: bool, sweeper: boo
     if not launcher:
         raise ConfigError(f"{text}: allowed are keys of a run: Hydra's own have no effect here.")
     plugins = ("launcher", "sweeper") if sweeper else ("launcher",)
-    starts = tuple(f"hydra{sign}{name}{end}" for name in plugins for sign, end in ("//", ".."))
-    if key not in [f"hydra/{name}" for name in plugins] and not key.startswith(starts):
+    if not re.fullmatch(
+        rf"hydra/({'|'.join(plugins)})(/\w+)?|hydra\.({'|'.join(plugins)})\..+", key
+    ):
         names = " and ".join(f"hydra/{name}=NAME and hydra.{name}.KEY" for name in plugins)
         raise ConfigError(
             f"{text}: allowed of Hydra's own keys are {names}: no other has an effect here."
@@ -159,7 +160,7 @@ def _check(
     if override.is_delete() or (override.is_add() and not override.is_force_add()):
         raise ConfigError(f"{text!r}: keys can be neither added nor deleted, only set: key=value.")
     if key in GROUPS:
-        _check_choice(key, override, roots)
+        own_groups.check_choice(override, roots)
     elif override.is_sweep_override():
         check_key(key)
     else:
@@ -172,22 +173,6 @@ def _lists_paths(override: Override) -> bool:
         return False
     value = str(override.value())
     return "," in value and not Path(value).exists()
-
-
-def _check_choice(group: str, override: Override, roots: Sequence[Path]) -> None:
-    choices = own_groups.files(group, roots)
-    values = list(override.sweep_string_iterator()) if override.is_sweep_override() else None
-    for value in values or [str(override.value())]:
-        if value not in choices:
-            raise ConfigError.of([(group, value, f"one of {', '.join(sorted(choices))}")])
-        path, *others = choices[value]
-        if others:
-            allowed = f"a name that one file has, not {path} and {others[0]}"
-            raise ConfigError.of([(group, value, allowed)])
-        try:
-            read_unmarked_text(path, "Hydra")
-        except (OSError, UnicodeError) as error:
-            raise ConfigError(f"{group}={value}: {path} cannot be read: {error}.") from error
 
 
 def check_key(key: str) -> Any:

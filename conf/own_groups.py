@@ -14,6 +14,7 @@ from hydra.core.override_parser.types import Override, QuotedString
 from conf.errors import ConfigError
 from conf.user_paths import quoted, user_path
 from env.geometry import floor_plans
+from env.texts import read_unmarked_text
 
 KEY = "hydra.searchpath"
 _SCHEME = "file://"
@@ -65,6 +66,27 @@ def files(group: str, roots: Iterable[Path]) -> dict[str, list[Path]]:
         for path in sorted((root / group).glob("*.yaml")):
             found.setdefault(path.stem, []).append(path)
     return found
+
+
+def check_choice(override: Override, roots: Sequence[Path]) -> None:
+    """Checks that what an override chooses of a group is one file that Hydra can read.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    group, choices = override.key_or_group, files(override.key_or_group, roots)
+    values = list(override.sweep_string_iterator()) if override.is_sweep_override() else None
+    for value in values or [str(override.value())]:
+        if value not in choices:
+            raise ConfigError.of([(group, value, f"one of {', '.join(sorted(choices))}")])
+        path, *others = choices[value]
+        if others:
+            allowed = f"a name that one file has, not {path} and {others[0]}"
+            raise ConfigError.of([(group, value, allowed)])
+        try:
+            read_unmarked_text(path, "Hydra")
+        except (OSError, UnicodeError) as error:
+            raise ConfigError(f"{group}={value}: {path} cannot be read: {error}.") from error
 
 
 def located_plan(name: Any, folders: Iterable[Path]) -> Any:
