@@ -34,7 +34,7 @@ def rooms(*, quick: bool = False) -> list[Result]:
     """Measures ``robot_in_rooms_*`` and ``room_mb``: rooms of ``experiment=building``, in turn."""
     single_threaded()
     counts, blocks = ((1, 4), 2) if quick else (COUNTS, 3)
-    windows, warm = (1, 1) if quick else (2, 6)
+    windows, warm = (1, 4) if quick else (2, 6)  # they learn from the fourth window on
     config = compose(
         ["experiment=building", f"env.robots={ROBOTS}", f"rooms.count={counts[-1]}",
          "rooms.held_out=0"]

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str]) -> int:
         console = Console()
         console.print(f"{follower.folder}: {server.url}  (Ctrl-C ends)", soft_wrap=True)
         if given.open:
-            webbrowser.open(server.url)
+            webbrowser.open_new_tab(server.url)
         try:
             server.serve_forever()
         except KeyboardInterrupt:

@@ -26,7 +26,7 @@ from experiments.cli import main
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text()
 MODULE, SCRIPT = re.findall(r"```python\n(.*?)```", PAGE, re.S)
 (PROJECT,) = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
-(SHELL,) = re.findall(r"```sh\n(.*?)```", PAGE, re.S)
+SHELL, *_ = re.findall(r"```sh\n(.*?)```", PAGE, re.S)
 BASE = {"robots": 3, "motion": {"max_slots": 40}}
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+import signal
 from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
+from rich.console import Console
 from train_helpers import SMALL, summary
 
 from experiments.cli import main
 from experiments.commands import search
+from experiments.runtimes.stopping import StopSignals
 from training.run_folder import RunFolder
 
 OPTUNA = ("hydra/sweeper=optuna", "hydra.sweeper.n_trials=2", "run.dir=sweep")
@@ -98,7 +101,9 @@ def test_a_run_that_does_not_end_ends_the_search(
     pytest.importorskip("optuna")
     values = RATE
     if how == "signal":
-        monkeypatch.setattr(search, "train_missing", lambda config: 130)
+        stop = StopSignals([], Console())
+        stop.number = signal.SIGINT
+        monkeypatch.setattr(search, "train_missing", lambda config, screen: stop)
     else:
         values = "env.power.levels=choice(1,1)"  # two robots need two levels
     assert main(["train", "-m", *OPTUNA, *SMALL, values]) == (130 if how == "signal" else 2)

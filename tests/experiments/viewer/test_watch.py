@@ -237,9 +237,19 @@ def test_what_is_no_run_is_refused_in_a_sentence(
     assert capsys.readouterr().err.startswith(f"risfleet: {tmp_path} is no run folder")
 
 
+def default_interrupt() -> None:
+    """Ctrl-C as in a terminal; whoever runs tests in the background ignores it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_ends_it(tiny_run: Path) -> None:
-    command = [sys.executable, "-m", "experiments.cli", "watch", str(tiny_run)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", "watch", str(tiny_run)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=default_interrupt,
+    )
+    try:
         assert process.stdout is not None
         url = process.stdout.readline().decode().split()[1]
         with urllib.request.urlopen(url, timeout=20) as answer:
@@ -247,3 +257,6 @@ def test_ctrl_c_ends_it(tiny_run: Path) -> None:
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)
         assert (process.returncode, errors) == (0, b"")
+    finally:
+        process.kill()
+        process.wait()
