@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 
-from conf.errors import shown
+from conf.errors import ConfigError, shown
+from conf.python_values import value_text
 from conf.schema import Config, StrategyConfig
 from env.validate import Problem
 
@@ -78,8 +79,14 @@ def _own(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     if config.target is None:
         yield "strategy.target", None, "an installed strategy's name, or package:Class"
     options = {} if config.options is None else config.options
-    if not (isinstance(options, dict) and all(isinstance(key, str) for key in options)):
-        yield "strategy.options", options, "a mapping such as {beta: 0.2}, or null"
+    allowed = "a mapping from words, such as {beta: 0.2}, or null"
+    if not isinstance(options, dict):
+        yield "strategy.options", options, allowed
+        return
+    try:
+        value_text("strategy.options", options)
+    except ConfigError:
+        yield "strategy.options", options, allowed
 
 
 _RULES: dict[str, Callable[[StrategyConfig, int, str], Iterator[Problem]]] = {

@@ -73,6 +73,10 @@ class Models:
             raise PluginError(self.key, name, f"a function, not {type(function).__name__}")
         self._registered[name] = function
 
+    def is_registered(self, name: str) -> bool:
+        """Whether a script has made it known in this process."""
+        return name in self._registered
+
     def find(self, name: str) -> Callable[..., Any] | None:
         """The function of a name, None for ours.
 
@@ -85,7 +89,9 @@ class Models:
             return self._registered[name]
         entry = self.entry(name)
         if entry is None:
-            raise PluginError(self.key, name, f"one of {', '.join(self._names())}")
+            names = ", ".join(self._names())
+            allowed = f"one of {names}" if names else "the name of one that is installed"
+            raise PluginError(self.key, name, allowed)
         try:
             function = entry.load()
         except Exception as error:

@@ -49,6 +49,7 @@ Trains a fleet and writes a run folder.
   KEY=VALUE        sets a key, such as env.robots=4, or a group, such as experiment=quick
   -m, --multirun   runs every combination of the values given as KEY=A,B,...
   --cfg            prints every key with its value and trains nothing
+  --objective M    what a search maximises (docs/hydra.md), such as success
   --config-dir DIR looks in DIR, too, for experiment/NAME.yaml and other groups
   -h, --help       prints this"""
 

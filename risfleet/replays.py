@@ -49,7 +49,7 @@ class Replay:
 
     def _repr_html_(self) -> str:
         """The page in a frame of its own."""
-        frame = f'style="width:100%;height:{HEIGHT_PX}px;border:0"'
+        frame = f'sandbox="allow-scripts" style="width:100%;height:{HEIGHT_PX}px;border:0"'
         return (
             f'<iframe title="{escape(self.title)}" {frame} srcdoc="{escape(self.html)}"></iframe>'
         )

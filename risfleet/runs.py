@@ -177,7 +177,11 @@ class Run:
         }
 
     def replay(
-        self, *, against: str | Sequence[str] = (), episode: int = 0, epsilon: float = 0.0
+        self,
+        *,
+        against: Path | str | Sequence[Path | str] = (),
+        episode: int = 0,
+        epsilon: float = 0.0,
     ) -> Replay:
         """An episode of its final weights, to look at: a notebook's cell plays it.
 
@@ -190,8 +194,9 @@ class Run:
         Raises:
             ConfigError: it has not ended, is a building's, or has not so many held-out starts.
         """
-        check_options(epsilon=epsilon)
-        others = [against] if isinstance(against, str) else list(against)
+        check_options(epsilon=epsilon, episode=episode)
+        several = [against] if isinstance(against, str | Path) else against
+        others = [os.fspath(each) for each in several]
         return Replay(f"RISFleet: {self.path.name}", beside(self._folder, others, episode, epsilon))
 
     # --- How it is shown --------------------------------------------------------------------------

@@ -31,6 +31,7 @@ class Evaluator:
         policy: who decides, what the run's scheme says if None.
 
     Attributes:
+        config: the same.
         world: the world that is played in.
         starts: the cells of the held-out starts, shape (episodes, K).
     """
@@ -43,6 +44,7 @@ class Evaluator:
         starts_seed: int | None = None,
         policy: Policy | None = None,
     ) -> None:
+        self.config = config
         self.episodes = episodes or config.evaluation.episodes
         self._seed = config.seed if starts_seed is None else starts_seed
         scenario = scenario or Scenario.drawn(config.env, config.seed)

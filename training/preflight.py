@@ -80,17 +80,21 @@ def check_trackers(config: Config) -> None:
 def check_strategies(config: Config) -> None:
     """Checks that strategies of the user's own are there, where this machine runs the server.
 
-    Raises:
-        ConfigError: one is not, or does not take its options.
-    """
-    for strategy in (config.strategy, config.rooms.strategy):
-        if strategy.name == "own" and config.runtime.connection is None:
-            from training.aggregation.own import own_strategy  # Flower: only where it is wanted
+    Each is asked for one average, of networks of a few weights.
 
-            try:
-                own_strategy(strategy)
-            except PluginError as error:
-                raise ConfigError.of([error.problem]) from error
+    Raises:
+        ConfigError: one is not there, does not take its options, or gives no average.
+    """
+    counts = {"strategy": config.env.robots, "rooms.strategy": config.rooms.count}
+    for key, strategy in (("strategy", config.strategy), ("rooms.strategy", config.rooms.strategy)):
+        if strategy.name != "own" or config.runtime.connection is not None:
+            continue
+        from training.aggregation.own import try_out  # Flower: only where it is wanted
+
+        try:
+            try_out(strategy, counts[key], in_this_process=config.runtime.name == "local")
+        except PluginError as error:
+            raise ConfigError.of([error.problem]) from error
 
 
 def checked_yaml(text: str) -> Config:

@@ -24,7 +24,7 @@ from conf.user_paths import RESUME, pasted, resumed_folder
 from env.texts import read_text
 from storage.checkpoint_files import CheckpointError
 from training.checkpoint import Checkpoint, latest
-from training.preflight import check, check_trackers
+from training.preflight import check, check_strategies, check_trackers
 from training.recording.csv_log import check_files
 from training.run_folder import RunFolder
 
@@ -71,6 +71,7 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
             )
     config = _config(folder, rest)
     check_trackers(config)
+    check_strategies(config)
     try:
         checkpoint = _checkpoint(folder, config)
     except CheckpointError as error:

@@ -102,11 +102,15 @@ class TrainingRun:
         """
         from training.aggregation.strategies import build_aggregator  # Flower: once a run trains
 
+        try:
+            aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
+        except BaseException:
+            self.recorder.close()
+            raise
         before = Costs() if self._resumed is None else Costs(**self._resumed.meta["costs"])
         earlier = costs()  # of a part of the run that was played in vain
         self._costs = lambda: before.plus(costs().minus(earlier))
         self.recorder.clients = clients
-        aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
         stop = self.folder.stop_file.exists
 
         def keep(last: bool) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from conf import compose
 from env.episode import EpisodeAccumulator
 from env.oracles import per_slot
-from experiments.reproduce.results.trace import planned
+from experiments.analysis.played import planned
 from training.evaluation import Evaluator
 
 PLACEMENTS, STARTS = 24, 16

@@ -41,6 +41,9 @@ MADE_FOR = (
 """What a file's channels depend on beside the cells, below ``env.``; compared where it says so."""
 
 TOLERANCE_M = 1e-3
+_DAMAGED = (
+    ValueError, EOFError, OSError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error
+)  # fmt: skip
 
 
 def write_channels(
@@ -138,9 +141,12 @@ def _content(name: str, data: bytes) -> dict[str, NDArray[Any]]:
         raise _refused(name, f"a NumPy archive (.npz), which these {len(data)} bytes are not")
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
+            found = {key: archive[key] for key in archive.files}
+    except _DAMAGED as error:
         raise _refused(name, f"a whole NumPy archive of numbers and texts ({error})") from error
+    if not all(isinstance(array, np.ndarray) for array in found.values()):
+        raise _refused(name, "a NumPy archive whose members are arrays")
+    return found
 
 
 def _tables(name: str, content: dict[str, NDArray[Any]], config: EnvConfig, floor: Floor) -> Tables:

@@ -84,12 +84,12 @@ def check_options(**options: Any) -> None:
         if value is None:
             continue
         if name == "epsilon":
-            if not (isinstance(value, Real) and 0 <= float(value) <= 1):
+            if isinstance(value, bool) or not (isinstance(value, Real) and 0 <= float(value) <= 1):
                 found.append((name, value, "a number from 0 to 1"))
             continue
         least = 1 if name == "episodes" else 0
         try:
-            wrong = operator.index(value) < least
+            wrong = isinstance(value, bool) or operator.index(value) < least
         except TypeError:
             wrong = True
         if wrong:

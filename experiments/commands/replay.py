@@ -10,7 +10,7 @@ from rich.console import Console
 
 from conf import ConfigError
 from conf.user_paths import user_path
-from experiments.console.arguments import not_negative, share
+from experiments.console.arguments import not_negative, positive, share
 from experiments.viewer.replays import beside
 from experiments.viewer.saving import check_out, save
 from training.run_folder import RunFolder
@@ -51,13 +51,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--epsilon", type=share, default=0.0, help="exploration; 0 is greedy")
     parser.add_argument(
-        "--frames", type=_few, default=2, metavar="N", help="of a film, for each slot: 1 to 10"
+        "--frames", type=positive, default=2, metavar="N", help="of a film, for each slot"
     )
     return parser
-
-
-def _few(text: str) -> int:
-    """An option's number of frames."""
-    if not text.isdecimal() or not 1 <= int(text) <= 10:
-        raise argparse.ArgumentTypeError(f"{text}: allowed is a whole number from 1 to 10")
-    return int(text)

@@ -41,10 +41,15 @@ def save_film(panels: Sequence[Panel], out: Path, frames_per_slot: int) -> None:
     """
     rate = SLOTS_PER_S * frames_per_slot
     pictures = frames(panels, frames_per_slot)
-    if out.suffix == ".mp4":
-        _save_mp4(pictures, out, rate)
-    else:
-        _save_gif(pictures, out, rate)
+    part = out.with_name(f".{out.name}.part{out.suffix}")
+    try:
+        if out.suffix == ".mp4":
+            _save_mp4(pictures, part, rate)
+        else:
+            _save_gif(pictures, part, rate)
+        part.replace(out)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def frames(panels: Sequence[Panel], frames_per_slot: int) -> Iterator[Pixels]:
@@ -146,7 +151,8 @@ def _save_gif(pictures: Iterator[Pixels], out: Path, rate: int) -> None:
         return Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE)
 
     others = [with_palette(each) for each in pictures]
-    pause = [1000 // rate] * len(others) + [int(1000 * REST_S)]
+    ends = np.round(100 * np.arange(len(others) + 1) / rate).astype(int)  # GIF counts in 10 ms
+    pause = [*(10 * np.diff(ends)).tolist(), int(1000 * REST_S)]
     with_palette(first).save(
         out, save_all=True, append_images=others, duration=pause, loop=0, disposal=1
     )
@@ -164,7 +170,7 @@ def _save_mp4(pictures: Iterator[Pixels], out: Path, rate: int) -> None:
         import imageio_ffmpeg
     except ImportError as error:
         raise ConfigError(
-            f"--out {out}: allowed is .gif, or .mp4 with the package imageio-ffmpeg"
+            f"--out {out.suffix}: allowed is .gif, or .mp4 with the package imageio-ffmpeg"
             " (pip install 'risfleet[film]')."
         ) from error
     first = next(pictures)
@@ -172,9 +178,11 @@ def _save_mp4(pictures: Iterator[Pixels], out: Path, rate: int) -> None:
     writer = imageio_ffmpeg.write_frames(str(out), (width, height), fps=rate, macro_block_size=2)
     writer.send(None)
     last = first
-    writer.send(first)
-    for last in pictures:
-        writer.send(last)
-    for _ in range(int(REST_S * rate)):
-        writer.send(last)
-    writer.close()
+    try:
+        writer.send(first)
+        for last in pictures:
+            writer.send(last)
+        for _ in range(int(REST_S * rate)):
+            writer.send(last)
+    finally:
+        writer.close()

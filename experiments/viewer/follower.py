@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,14 @@ POINTS = 400
 SILENT_S = 10.0
 DRAWN = ("success", "ee", "reward")
 
+UNREADABLE = (ValueError, KeyError, TypeError, AttributeError, IndexError, OSError)
+"""What files end in that are damaged, of another version, or moved: a page says so and goes on."""
+
 Event = tuple[str, str]
 """A name, and data as JSON."""
+
+Stamps = tuple[tuple[int, int], ...]
+Scores = dict[tuple[str, str], dict[str, str]]
 
 
 class Follower:
@@ -42,6 +48,8 @@ class Follower:
         self.config = folder.read_config()
         self._scenes: dict[str, dict[str, Any]] = {}
         self._rooms: list[Room] | None = None
+        self._drawn: tuple[Stamps, str] | None = None
+        self._scores: tuple[Stamps, Scores] | None = None
 
     def events(self) -> Iterator[Event]:
         """Everything that the page shows, in its present state; one after the other.
@@ -50,12 +58,23 @@ class Follower:
         episode; or, of a building, "rooms", each with what it has come to and a version that
         changes with its newest episode.
         """
-        yield "status", self._status()
-        yield "curves", self._curves()
+        parts: dict[str, Callable[[], str]] = {"curves": self._curves}
         if has_rooms(self.config):
-            yield "rooms", json.dumps([*self._wall()])
+            parts["rooms"] = lambda: json.dumps([*self._wall()])
         else:
-            yield "panel", json.dumps(self.panel())
+            parts["panel"] = lambda: json.dumps(self.panel())
+        found, wrong = {}, []
+        for name, make in parts.items():
+            try:
+                found[name] = make()
+            except UNREADABLE as error:
+                wrong.append(f"{type(error).__name__}: {error}")
+        try:
+            yield "status", self._status(wrong)
+        except UNREADABLE as error:
+            said = f"the run's progress cannot be shown: {type(error).__name__}: {error}"
+            yield "status", json.dumps({"said": said, "figures": [], "clients": []})
+        yield from found.items()
 
     def panel(self, name: str | None = None) -> Panel | None:
         """The newest episode of the run, or of one of a building's rooms; None if there is none.
@@ -95,7 +114,7 @@ class Follower:
 
     # --- What the run says ------------------------------------------------------------------------
 
-    def _status(self) -> str:
+    def _status(self, wrong: Sequence[str]) -> str:
         status = self.folder.read_progress()
         if status is None:
             return json.dumps({"said": "not begun", "figures": [], "clients": []})
@@ -110,13 +129,20 @@ class Follower:
             figures.append(("clients lost and awaited", str(status["losses"])))
         silence = silent_s(status)
         silent = f", silent for {silence:.0f} s" if silence and silence > SILENT_S else ""
-        said = f"{status['state']}{silent}. {status['message']}".strip()
+        said = " ".join(filter(None, [f"{status['state']}{silent}.", status["message"], *wrong]))
         clients = [[*_client(each)] for each in status.get("clients", ())]
         return json.dumps({"said": said, "figures": figures, "clients": clients})
 
     def _curves(self) -> str:
-        episodes = _columns(self.folder.metrics_file)
-        rows = _columns(self.folder.evaluations_file)
+        """Learning curves; worked out anew when one of the files has changed."""
+        files = (self.folder.metrics_file, self.folder.evaluations_file)
+        stamp = tuple(_stamp(file) for file in files)
+        if self._drawn is None or self._drawn[0] != stamp:
+            self._drawn = stamp, self._curves_of(*files)
+        return self._drawn[1]
+
+    def _curves_of(self, metrics: Path, evaluations: Path) -> str:
+        episodes, rows = _columns(metrics), _columns(evaluations)
         unit, at = "episode", "episode"
         if has_rooms(self.config):  # episodes are counted by room
             unit, at = "tick", "tick"
@@ -132,7 +158,10 @@ class Follower:
         )
 
     def _wall(self) -> Iterator[dict[str, str]]:
-        newest = _newest(self.folder.rooms_log_file)
+        log = self.folder.rooms_log_file
+        if self._scores is None or self._scores[0] != (_stamp(log),):
+            self._scores = (_stamp(log),), _newest(log)
+        newest = self._scores[1]
         for room in self.rooms():
             try:
                 version = str(self.folder.room(room.name).episode_file.stat().st_mtime_ns)
@@ -141,6 +170,15 @@ class Follower:
             row = newest.get((str(int(room.held_out)), str(room.index)))
             said = f"{float(row['success']):.0%} arrive, EE {float(row['ee']):.3f}" if row else ""
             yield {"name": room.name, "said": said, "version": version}
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """When a file was written and how long it is, zeros where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
 
 
 def _client(client: Mapping[str, Any]) -> Iterator[str]:
@@ -188,7 +226,7 @@ def _mean(values: Sequence[float]) -> float | None:
     return sum(finite) / len(finite) if finite else None
 
 
-def _newest(path: Path) -> dict[tuple[str, str], dict[str, str]]:
+def _newest(path: Path) -> Scores:
     """The last greedy row of each room, by whether it is held out and its index."""
     try:
         with path.open(encoding="utf-8", newline="") as file:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agent import single_threaded
 from conf import Config, ConfigError, has_rooms
 from conf.user_paths import user_path
@@ -45,24 +48,48 @@ def beside(
         if other in RIVALS:
             panels.append(rival(run, episode, other))
         else:
-            panels.append(of_run(RunFolder(user_path(other)), episode, epsilon))
+            there = RunFolder(user_path(other))
+            panels.append(of_run(there, episode, epsilon, start=_start(run, there, episode)))
     return panels
 
 
-def of_run(folder: RunFolder, episode: int, epsilon: float = 0.0) -> Panel:
+def _start(run: RunFolder, other: RunFolder, episode: int) -> NDArray[np.int64]:
+    """The cells that a run's episode starts from, for another run.
+
+    Raises:
+        ConfigError: the other run's floor or destinations are not the same.
+    """
+    one, its = (_evaluator(_config(folder)) for folder in (run, other))
+    same = np.array_equal(one.world.floor.centres(), its.world.floor.centres())
+    if not (same and np.array_equal(one.world.destinations, its.world.destinations)):
+        say = "a run on a floor of the same cells, whose robots have the same destinations"
+        raise ConfigError(f"--against {other}: allowed is {say}.")
+    start: NDArray[np.int64] = one_start(one, episode).starts
+    return start
+
+
+def of_run(
+    folder: RunFolder,
+    episode: int,
+    epsilon: float = 0.0,
+    start: NDArray[np.int64] | None = None,
+) -> Panel:
     """An episode of a run's final weights.
 
     Args:
         folder: of a run, or of a room of a building.
         episode: the number of the held-out start, from 0.
         epsilon: probability of a random action.
+        start: cells to start from in its place, shape (1, K).
 
     Raises:
         ConfigError: the folder is none of a run that has ended, or is a building's.
     """
     config = _config(folder)
     weights = folder.read_weights(config)
-    evaluator = one_start(config, episode)
+    evaluator = one_start(_evaluator(config), 0 if start is not None else episode)
+    if start is not None:
+        evaluator.starts = start
     driven = played.learned(evaluator, weights, epsilon)
     explored = f", {epsilon:.0%} random actions" if epsilon else ", greedy"
     return _panel(f"{folder.path.name}: learned{explored}", driven)
@@ -74,7 +101,7 @@ def rival(folder: RunFolder, episode: int, name: str) -> Panel:
     Raises:
         ConfigError: there is no plan, as with fading that changes in each slot.
     """
-    evaluator = one_start(_config(folder), episode)
+    evaluator = one_start(_evaluator(_config(folder)), episode)
     try:
         driven = played.planned(evaluator) if name == ORACLE else played.ruled(evaluator)
     except ValueError as error:
@@ -82,22 +109,25 @@ def rival(folder: RunFolder, episode: int, name: str) -> Panel:
     return _panel(RIVALS[name], driven)
 
 
-def one_start(config: Config, episode: int) -> Evaluator:
+def one_start(whole: Evaluator, episode: int) -> Evaluator:
     """One of a run's held-out starts.
 
     Raises:
         ConfigError: there are not so many.
     """
-    single_threaded()
-    whole = Evaluator(config)
-    if episode >= whole.episodes:
+    if not 0 <= episode < whole.episodes:
         last = whole.episodes - 1
         raise ConfigError(
             f"--episode {episode}: allowed is 0 to {last}, the run's held-out starts."
         )
-    one = Evaluator(config, whole.world.scenario, episodes=1)
+    one = Evaluator(whole.config, whole.world.scenario, episodes=1)
     one.starts = whole.starts[episode : episode + 1]
     return one
+
+
+def _evaluator(config: Config) -> Evaluator:
+    single_threaded()
+    return Evaluator(config)
 
 
 def _config(folder: RunFolder) -> Config:

@@ -12,6 +12,8 @@ from experiments.viewer.replays import Panel
 from storage.atomic import write_atomically
 
 PAGE, FILMS = ".html", (".gif", ".mp4")
+MOST_FRAMES = {".gif": 6, ".mp4": 10}
+"""For each slot; browsers show a GIF's pictures for no less than 20 ms."""
 
 
 def check_out(out: Path) -> None:
@@ -39,6 +41,9 @@ def save(panels: Sequence[Panel], title: str, out: Path, frames_per_slot: int) -
         ConfigError: see ``check_out``; or a film needs a package that is missing.
     """
     check_out(out)
+    most = MOST_FRAMES.get(out.suffix, frames_per_slot)
+    if not 1 <= frames_per_slot <= most:
+        raise ConfigError(f"--frames {frames_per_slot}: allowed is 1 to {most} of a {out.suffix}.")
     if out.suffix == PAGE:
         write_atomically(out, page(title, {"panels": panels}))
     else:

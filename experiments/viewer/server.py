@@ -10,7 +10,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import unquote
 
-from experiments.viewer.follower import Follower
+from experiments.viewer.follower import UNREADABLE, Follower
 from experiments.viewer.page import page
 
 HOST = "127.0.0.1"
@@ -58,7 +58,10 @@ class WatchServer(ThreadingHTTPServer):
     def room(self, name: str) -> str | None:
         """A room's panel as JSON."""
         with self._reading:
-            panel = self.follower.panel(name)
+            try:
+                panel = self.follower.panel(name)
+            except UNREADABLE:
+                return None
         return None if panel is None else json.dumps(panel)
 
     def server_close(self) -> None:

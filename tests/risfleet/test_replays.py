@@ -25,6 +25,7 @@ def test_a_replay_is_the_page_of_the_command(tiny_run: Path, tmp_path: Path) -> 
 def test_a_cell_shows_it_in_a_frame_that_its_content_cannot_leave(tiny_run: Path) -> None:
     html = risfleet.load(tiny_run).replay()._repr_html_()
     assert html.startswith("<iframe ")
+    assert 'sandbox="allow-scripts"' in html
     assert html.count("<") == 2  # the frame's own tags: all else is escaped
     assert html.endswith('"></iframe>')
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from flwr.app import Array, ArrayRecord, ConfigRecord, Message, MetricRecord
 from flwr.serverapp import Grid
-from flwr.serverapp.strategy import FedAvg, FedTrimmedAvg, Strategy
+from flwr.serverapp.strategy import FedAdam, FedAvg, FedTrimmedAvg, Strategy
 
 from conf import ConfigError, StrategyConfig
 from experiments.cli import main
 from training.aggregation import own
 from training.aggregation.aggregator import Aggregator
+from training.aggregation.kept import Kept
 from training.aggregation.strategies import build_aggregator
 from training.preflight import checked_training
 from training.run_folder import RunFolder
@@ -144,7 +145,7 @@ def test_whatever_it_keeps_goes_on_as_if_it_had_not_been_interrupted() -> None:
             second.restore(first.state())
         np.testing.assert_array_equal(part.aggregate(window, current, sent), expected)
     names = {key.split("/")[0] for key in whole.state()}
-    assert names == {"size", "calls", "drift", "seen", "generator"}
+    assert names == {"calls", "drift", "seen", "generator"}
 
 
 def test_a_run_with_one_resumes_to_the_same_bits(
@@ -161,6 +162,51 @@ def test_a_run_with_one_resumes_to_the_same_bits(
     parts = tmp_path / "parts"
     digest("parts", *start, f"run.dir={parts}", "train.max_ticks=50")
     assert digest("parts", f"resume={parts}", "train.max_ticks=100") == whole
+
+
+class Hoarding(FedAvg):
+    """Keeps what a test puts there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.by_node: dict[int, np.ndarray] = {}
+        self.scale = np.float32(1.0)
+        self.last: Any = None
+        self.inner = FedAdam()
+        self.words: list[str] = []
+
+
+def test_kinds_come_back_as_they_were() -> None:
+    strategy, other = Hoarding(), Hoarding()
+    kept, again = Kept(strategy), Kept(other)
+    strategy.by_node = {3: np.arange(2.0), 1: np.arange(3.0)}
+    strategy.scale = np.float32(0.1)
+    strategy.last = [np.arange(4), np.zeros((0, 2))]
+    strategy.inner.m_t = {"weights": np.arange(2.0)}
+    again.restore(kept.state())
+    assert list(other.by_node) == [3, 1]
+    assert other.scale == np.float32(0.1)
+    assert other.scale.dtype == np.float32
+    assert [each.shape for each in other.last] == [(4,), (0, 2)]
+    np.testing.assert_array_equal(other.inner.m_t["weights"], np.arange(2.0))
+    again.restore({})
+    assert (other.by_node, other.last, other.inner.m_t) == ({}, None, None)
+
+
+def test_what_cannot_be_kept_is_named_once_it_changes() -> None:
+    strategy = Hoarding()
+    kept = Kept(strategy)
+    assert kept.state() == {}
+    strategy.words.append("new")
+    with pytest.raises(ValueError, match=r"Hoarding\.words has changed"):
+        kept.state()
+
+
+def test_a_name_that_is_registered_is_no_other_processs() -> None:
+    keys = ["strategy=own", "strategy.target=wandering"]
+    checked_training(["runtime=local", *keys])
+    with pytest.raises(ConfigError, match="with runtime=local a name that is registered"):
+        checked_training(["runtime=simulation", *keys])
 
 
 def test_weights_that_are_not_what_was_asked_for_are_named() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -13,17 +14,19 @@ from flwr.serverapp.strategy import FedAvg, Strategy
 from storage.generators import generator_state, restore_generator
 
 State = dict[str, npt.NDArray[Any]]
-Numbers = bool | int | float | np.number
+Items = dict[str, npt.NDArray[Any]]
 
 _SETTINGS = frozenset(vars(FedAvg()))
 """FedAvg's own attributes: who is asked, and what metrics are called."""
 
+KINDS = (
+    "arrays, lists of arrays, dicts of arrays by texts or whole numbers, ArrayRecords, numbers,"
+    " NumPy's generators, None, and strategies"
+)
+
 
 class Kept:
-    """The attributes of a strategy that change from window to window.
-
-    Records, arrays, lists and dicts of arrays, and generators of NumPy's; of a class that is not
-    Flower's numbers, too (Flower's hold nothing but settings in numbers).
+    """The attributes of a strategy that have changed since it was made.
 
     Args:
         strategy: a fresh one.
@@ -31,18 +34,41 @@ class Kept:
 
     def __init__(self, strategy: Strategy) -> None:
         self._strategy = strategy
-        self._counts = not type(strategy).__module__.startswith("flwr.")
-        self._fresh = {
-            name: copy.deepcopy(value)
+        self._within = {
+            name: Kept(value)
             for name, value in vars(strategy).items()
-            if value is None or self._pack(name, value)
+            if isinstance(value, Strategy)
         }
+        self._fresh: dict[str, Any] = {}
+        for name, value in vars(strategy).items():
+            if name not in self._within and name not in _SETTINGS:
+                with suppress(Exception):  # what cannot be copied stays as it is
+                    self._fresh[name] = copy.deepcopy(value)
 
     def state(self) -> State:
-        """What is there now, as copies; empty where nothing is kept."""
+        """What is there now, as copies; empty where nothing has changed.
+
+        Raises:
+            ValueError: something has changed that cannot be kept; the message names it.
+        """
         found: State = {}
         for name, value in vars(self._strategy).items():
-            found.update(self._pack(name, value))
+            if name in _SETTINGS:
+                continue
+            if name in self._within:
+                inner = self._within[name].state()
+                found.update({f"{name}.{key}": array for key, array in inner.items()})
+                continue
+            packed, before = _pack(value), _pack(self._fresh.get(name))
+            if packed is None:
+                if name in self._fresh and _differs(value, self._fresh[name]):
+                    raise ValueError(
+                        f"{type(self._strategy).__name__}.{name} has changed and is nothing that a"
+                        f" checkpoint keeps: allowed are {KINDS}"
+                    )
+            elif before is None or name not in self._fresh or not _equal(packed, before):
+                kind, items = packed
+                found.update({f"{name}/{kind}/{key}": array for key, array in items.items()})
         return found
 
     def restore(self, state: State) -> None:
@@ -51,52 +77,86 @@ class Kept:
         Raises:
             ValueError: the state is another strategy's.
         """
-        foreign = [key for key in state if not hasattr(self._strategy, key.split("/")[0])]
+        inner = {name: f"{name}." for name in self._within}
+        own = {key: it for key, it in state.items() if not key.startswith(tuple(inner.values()))}
+        foreign = [key for key in own if not hasattr(self._strategy, key.split("/")[0])]
         if foreign:
             name = type(self._strategy).__name__
             raise ValueError(f"{name} keeps no {', '.join(sorted(foreign))}: wrong strategy state")
         for name, value in self._fresh.items():
             setattr(self._strategy, name, copy.deepcopy(value))
-        for name in {key.split("/")[0] for key in state}:
-            setattr(self._strategy, name, _unpack(name, state))
+        for name in {key.split("/")[0] for key in own}:
+            setattr(self._strategy, name, _unpack(name, own))
+        for name, start in inner.items():
+            of = {key.removeprefix(start): it for key, it in state.items() if key.startswith(start)}
+            self._within[name].restore(of)
 
-    def _pack(self, attribute: str, value: Any) -> State:
-        """Flattens what is kept to ``attribute/kind/key``; anything else to nothing."""
-        if attribute in _SETTINGS:
-            return {}
-        if isinstance(value, ArrayRecord):
-            return {f"{attribute}/record/{key}": array.numpy() for key, array in value.items()}
-        if isinstance(value, np.ndarray):
-            return {f"{attribute}/array/0": value.copy()}
-        if isinstance(value, np.random.Generator):
-            return {f"{attribute}/generator/0": generator_state(value)}
-        if isinstance(value, Numbers) and self._counts:
-            return {f"{attribute}/number/0": np.array(value)}
-        if not isinstance(value, dict | list):
-            return {}
-        pairs = value.items() if isinstance(value, dict) else enumerate(value)
-        return {
-            f"{attribute}/{type(value).__name__}/{key}": array.copy()
-            for key, array in pairs
-            if isinstance(array, np.ndarray)
-        }
+
+def _pack(value: Any) -> tuple[str, Items] | None:
+    """A value's kind and its arrays by name; None where it is nothing that is kept."""
+    if value is None:
+        return "none", {"0": np.zeros(0)}
+    if isinstance(value, ArrayRecord):
+        return "record", {key: array.numpy() for key, array in value.items()}
+    if isinstance(value, np.ndarray) and value.ndim:  # checkpoints know no others
+        return "array", {"0": value.copy()}
+    if isinstance(value, np.number | np.bool_):
+        return "scalar", {"0": np.array([value])}
+    if isinstance(value, np.random.Generator):
+        return "generator", {"0": generator_state(value)}
+    if isinstance(value, bool | int | float):
+        number = np.array([value])
+        return None if number.dtype == object else ("number", {"0": number})
+    if isinstance(value, list) and all(isinstance(it, np.ndarray) for it in value):
+        length = {"length": np.array([len(value)])}
+        return "list", {**length, **{str(i): it.copy() for i, it in enumerate(value)}}
+    if isinstance(value, dict) and all(isinstance(it, np.ndarray) for it in value.values()):
+        for kind, of in (("dict", str), ("intdict", int)):
+            if all(type(key) is of for key in value):
+                count = {"": np.array([len(value)])}
+                return kind, {**count, **{f"={key}": it.copy() for key, it in value.items()}}
+    return None
+
+
+def _equal(one: tuple[str, Items], other: tuple[str, Items]) -> bool:
+    """Whether two values are the same, to the bit."""
+    (kind, items), (other_kind, others) = one, other
+    if kind != other_kind or list(items) != list(others):
+        return False
+    pairs = [(it, others[key]) for key, it in items.items()]
+    return all(it.dtype == its.dtype and it.tobytes() == its.tobytes() for it, its in pairs)
+
+
+def _differs(value: Any, before: Any) -> bool:
+    """Whether something that is not kept has changed, as far as it can be told."""
+    try:
+        return bool(value != before) and vars(value) != vars(before)
+    except TypeError:  # no attributes: plain values, whose comparison stands
+        return bool(value != before)
+    except ValueError:  # arrays within
+        return True
 
 
 def _unpack(attribute: str, state: State) -> Any:
-    """The inverse of ``Kept._pack``, for an attribute of which the state has something."""
-    found, kind = {}, ""
+    """The inverse of ``_pack``, for an attribute of which the state has something."""
+    items, kind = {}, ""
     for key, array in state.items():
         name, kind_of_key, item = key.split("/", 2)
         if name == attribute:
-            found[item], kind = array.copy(), kind_of_key
+            items[item], kind = array.copy(), kind_of_key
     if kind == "record":
-        return ArrayRecord({item: Array(array) for item, array in found.items()})
+        return ArrayRecord({item: Array(array) for item, array in items.items()})
     if kind == "list":
-        return [found[str(i)] for i in range(len(found))]
-    if kind == "number":
-        return found["0"].item()
+        return [items[str(i)] for i in range(int(items["length"][0]))]
+    if kind in ("dict", "intdict"):
+        to = int if kind == "intdict" else str
+        return {to(key.removeprefix("=")): it for key, it in items.items() if key}
     if kind == "generator":
         generator = np.random.default_rng()
-        restore_generator(generator, found["0"])
+        restore_generator(generator, items["0"])
         return generator
-    return found["0"] if kind == "array" else found
+    if kind == "none":
+        return None
+    if kind == "number":
+        return items["0"][0].item()
+    return items["0"][0] if kind == "scalar" else items["0"]

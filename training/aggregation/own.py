@@ -9,6 +9,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from typing import Any
 
+import numpy as np
 from flwr.serverapp.strategy import Strategy
 
 from conf import StrategyConfig
@@ -54,8 +55,40 @@ def own_strategy(config: StrategyConfig) -> Strategy:
     return strategy
 
 
+def try_out(config: StrategyConfig, count: int, *, in_this_process: bool) -> None:
+    """Lets a strategy average a few weights once.
+
+    Args:
+        config: the group ``strategy``, with ``name=own``.
+        count: how many upload.
+        in_this_process: whether the run is played here, where names may be registered.
+
+    Raises:
+        PluginError: see ``own_strategy``; or it fails.
+    """
+    from training.aggregation.strategies import build_aggregator  # which knows this module
+
+    target = str(config.target)
+    if not in_this_process and _STRATEGIES.is_registered(target):
+        say = "with runtime=local a name that is registered, elsewhere one that is installed"
+        raise PluginError(KEY, target, say)
+    weights = np.zeros((count, 2, 3), dtype=np.float32)
+    try:
+        aggregator = build_aggregator(config, count)
+        assert aggregator is not None
+        aggregator.aggregate(1, weights[0], weights)
+        aggregator.state()
+    except PluginError:
+        raise
+    except Exception as error:
+        say = f"a strategy that averages {count} networks ({type(error).__name__}: {error})"
+        raise PluginError(KEY, target, say) from error
+
+
 def _class_at(target: str) -> Callable[..., Any]:
     """What ``package:Class`` names, in what is installed."""
+    if not EntryPoint.pattern.fullmatch(target):
+        raise PluginError(KEY, target, "package:Class")
     try:
         found = EntryPoint(target, target, GROUP).load()
     except Exception as error:

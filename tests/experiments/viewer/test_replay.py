@@ -63,6 +63,19 @@ def test_a_page_holds_the_episode_and_what_it_stands_against(
     assert panels[1]["episode"]["ee"] >= panels[2]["episode"]["ee"]
 
 
+def test_another_run_drives_from_the_same_start_or_is_refused(
+    refused: Saying, tiny_run: Path, trained: Callable[..., Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "replay.html"
+    other = trained({"seed": 5})
+    assert main(["replay", str(tiny_run), "--out", str(out), "--against", str(other)]) == 0
+    one, its = data_of(out.read_text(encoding="utf-8"))["panels"]
+    assert one["episode"]["cells"][0] == its["episode"]["cells"][0]
+    elsewhere = trained({"env.tasks.destinations_m": [[6.5, 2.5], [1.5, 1.5], [5.5, 5.5]]})
+    said = refused(tiny_run, "--out", out, "--against", elsewhere)
+    assert "whose robots have the same destinations" in said
+
+
 def test_a_page_has_no_address_outside_itself(tiny_run: Path) -> None:
     html = page("x", {"panels": [replays.of_run(RunFolder(tiny_run), 0)]})
     addresses = set(re.findall(r"[a-z]+://[^\"'\s)]+", html))
@@ -154,6 +167,8 @@ def test_mistakes_cost_a_sentence(
         tiny_run, "--out", tmp_path / "nowhere" / "replay.html"
     )
     assert "is no run folder" in refused(tmp_path, "--out", out)
+    film = tmp_path / "replay.gif"
+    assert "--frames 7: allowed is 1 to 6" in refused(tiny_run, "--out", film, "--frames", 7)
     assert "--episode 4: allowed is 0 to 3" in refused(tiny_run, "--out", out, "--episode", 4)
     assert f"{building_run / 'rooms' / '0000'}" in refused(building_run, "--out", out)
     assert "nothing is no run folder" in refused(tiny_run, "--out", out, "--against", "nothing")

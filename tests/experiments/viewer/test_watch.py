@@ -176,6 +176,23 @@ def test_a_run_that_has_only_just_begun_has_a_page(copied: Path) -> None:
     assert found["curves"]["train"] == {"at": []}
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("episode.json", "{}", "done. KeyError"),
+        ("metrics.csv", "episode,tick\n1,x\n", "done. ValueError"),
+        ("progress.json", '{"clients": null}', "cannot be shown: TypeError"),
+    ],
+)
+def test_what_is_damaged_is_said_and_the_rest_is_shown(
+    copied: Path, name: str, text: str, said: str
+) -> None:
+    (copied / name).write_text(text)
+    found = told(copied)
+    assert said in found["status"]["said"]
+    assert len(found) == (3 if name == "progress.json" else 2)
+
+
 def test_a_silent_run_is_said_to_be_silent(copied: Path) -> None:
     folder = RunFolder(copied)
     progress = folder.read_progress()
