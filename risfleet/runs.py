@@ -225,7 +225,7 @@ def load(path: str | os.PathLike[str]) -> Run:
     Raises:
         ConfigError: it is no run's folder, or another version's.
     """
-    run = Run(user_path(os.fspath(path)))
+    run = Run(RunFolder.named(user_path(os.fspath(path))).path)
     assert run.config is not None  # reads it, and so refuses a folder of something else
     return run
 

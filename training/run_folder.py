@@ -57,6 +57,12 @@ class RunFolder:
         """The folder that a configuration names in ``run.dir``."""
         return cls(Path(str(config.run.dir)))
 
+    @classmethod
+    def named(cls, path: Path) -> RunFolder:
+        """The folder of that path, or the one that holds the file of weights of that path."""
+        within = cls(path.parent)
+        return within if within.weights_file == path else cls(path)
+
     def __str__(self) -> str:
         """The folder's path."""
         return str(self.path)

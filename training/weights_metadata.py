@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,8 +73,12 @@ def widths(network: NetworkShape) -> str:
 def _anywhere(config: Config) -> Config:
     """A configuration without what says where it ran."""
     federation = dataclasses.replace(config.federation, clients=None, link=LinkConfig())
+    env = config.env
+    if env.channel.file is not None:  # whose digest says which it is
+        channel = dataclasses.replace(env.channel, file=Path(env.channel.file).name)
+        env = dataclasses.replace(env, channel=channel)
     return dataclasses.replace(
-        config, run=RunConfig(), runtime=RuntimeConfig(), federation=federation
+        config, env=env, run=RunConfig(), runtime=RuntimeConfig(), federation=federation
     )
 
 

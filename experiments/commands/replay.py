@@ -21,7 +21,7 @@ def main(arguments: Sequence[str]) -> int:
     given = _parser().parse_args(arguments)
     try:
         check_out(given.out)
-        run = RunFolder(user_path(given.run))
+        run = RunFolder.named(user_path(given.run))
         panels = beside(run, given.against, given.episode, given.epsilon)
         save(panels, f"RISFleet: {given.run}", given.out, given.frames)
     except ConfigError as error:

@@ -27,10 +27,7 @@ def run_folder(what: Sequence[str]) -> RunFolder | None:
     folders = [user_path(item) for item in what if "=" not in item or user_path(item).is_dir()]
     if folders and len(what) > 1:
         raise ConfigError(f"{' '.join(what)}: allowed is one run folder, or KEY=VALUE ... alone.")
-    if not folders:
-        return None
-    within = RunFolder(folders[0].parent)
-    return within if within.weights_file == folders[0] else RunFolder(folders[0])
+    return RunFolder.named(folders[0]) if folders else None
 
 
 def with_config_dirs(arguments: Sequence[str]) -> list[str]:

@@ -48,7 +48,7 @@ def beside(
         if other in RIVALS:
             panels.append(rival(run, episode, other))
         else:
-            there = RunFolder(user_path(other))
+            there = RunFolder.named(user_path(other))
             panels.append(of_run(there, episode, epsilon, start=_start(run, there, episode)))
     return panels
 

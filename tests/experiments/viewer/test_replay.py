@@ -175,6 +175,14 @@ def test_mistakes_cost_a_sentence(
     assert not out.exists()
 
 
+def test_a_file_of_weights_is_as_good_as_its_folder(tiny_run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "replay.html"
+    weights = tiny_run / "weights.safetensors"
+    assert main(["replay", str(weights), "--out", str(out), "--against", str(weights)]) == 0
+    one, its = data_of(out.read_text(encoding="utf-8"))["panels"]
+    assert one["episode"] == its["episode"] == replays.of_run(RunFolder(tiny_run), 0)["episode"]
+
+
 def test_a_room_of_a_building_is_replayed(building_run: Path, tmp_path: Path) -> None:
     out = tmp_path / "room.html"
     room = building_run / "rooms" / "held-out-0000"
