@@ -96,7 +96,11 @@ def abreast(config: Config, count: int, in_turn: Seconds) -> Result:
         warm(config.agent.learn_from // worlds + 1)
     taken = take_turns(variants, config.federation.every, len(in_turn))
     saved = {part: taken[f"{part} in turn"] - taken[f"{part} abreast"] for part in parts}
-    shares = {f"{part}_saved": float(np.median(of / in_turn)) for part, of in saved.items()}
+    shares: dict[str, float] = {}
+    for part in parts:
+        one, all_ = taken[f"{part} in turn"], taken[f"{part} abreast"]
+        shares[f"{part}_share_of_tick"] = float(np.median(one / in_turn))
+        shares[f"{part}_abreast_over_in_turn"] = float(np.median(all_ / one))
     bound = in_turn / (in_turn - sum(saved.values()))
     return Result.over(
         "rooms_abreast_at_most", bound, "ratio", ABREAST_HOW.format(count), details=shares
