@@ -11,11 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from conf.user_paths import user_path
-from experiments.console.display import describe, silent_s
+from experiments.console.display import SILENT_S, describe, silent_s
 from training.run_folder import RunFolder
-
-SILENT_S = 10.0
-"""A run that writes nothing for longer may have died."""
 
 
 def _federation(status: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -22,6 +22,9 @@ from training.run_folder import RunFolder
 
 POLL_S = 0.5
 LINE_PERIOD_S = 10.0
+SILENT_S = 10.0
+"""A run that writes nothing for longer may have died."""
+
 RUNNING = ("starting", "training", "waiting", "finishing")
 LABELS = {
     "success": "success",

@@ -11,16 +11,16 @@ from typing import Any
 from conf import Config, has_rooms
 from conf.rooms import Room
 from env.scenario import Scenario
-from experiments.console.display import describe, silent_s
+from experiments.console.display import SILENT_S, describe, silent_s
 from experiments.viewer.replays import Panel
 from experiments.viewer.scene import scene
 from training.building import known_rooms
+from training.recording.csv_log import read_columns
 from training.run_folder import RunFolder
 
 POINTS = 400
 """Most points of a curve: of more, means of neighbours are shown."""
 
-SILENT_S = 10.0
 DRAWN = ("success", "ee", "reward")
 
 UNREADABLE = (ValueError, KeyError, TypeError, AttributeError, IndexError, OSError)
@@ -193,18 +193,11 @@ def _client(client: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _columns(path: Path) -> dict[str, list[float]]:
-    """A CSV file of numbers by columns; a last row that is being written does not count."""
+    """The columns of a file that a run writes, by name; none before it is there."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            whole = (line for line in file if line.endswith("\n"))
-            rows = [*csv.reader(whole)]
+        return {name: values.tolist() for name, values in read_columns(path).items()}
     except OSError:
         return {}
-    names = rows[0] if rows else []
-    return {
-        name: [float(row[i] or "nan") for row in rows[1:] if len(row) == len(names)]
-        for i, name in enumerate(names)
-    }
 
 
 def _thinned(columns: Mapping[str, list[float]], at: str) -> dict[str, list[float | None]]:
