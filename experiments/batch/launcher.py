@@ -5,18 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from hydra import initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
-from hydra.errors import HydraException
-from hydra.experimental.callback import Callback
 from hydra.plugins.launcher import Launcher
-from hydra.types import HydraContext, RunMode, TaskFunction
-from omegaconf.errors import OmegaConfBaseException
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
 
-from conf import ConfigError, register_schema
-from conf.overrides import FOLDER
-from conf.user_paths import quoted
+from experiments.batch.plugins import instantiated
 
 DEFAULT = "hydra/launcher=joblib"
 
@@ -40,24 +34,10 @@ def build_launcher(
     if chosen == [DEFAULT]:
         # A job each time a process is free: jobs are few and long.
         own = [f"hydra.launcher.n_jobs={workers}", "hydra.launcher.pre_dispatch=n_jobs", *own]
-    quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null"]
-    where = [f"hydra.sweep.dir={quoted(str(place))}", "hydra.sweep.subdir=."]
-    register_schema()
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(str(FOLDER), version_base="1.3", job_name="risfleet"):
-        hydra = GlobalHydra.instance().hydra
-        assert hydra is not None
-        try:
-            config = hydra.compose_config(
-                config_name="config",
-                overrides=[*chosen, *where, *quiet, *own],
-                run_mode=RunMode.MULTIRUN,
-                with_log_configuration=False,
-            )
-            # A callback that does nothing: ``hydra.callbacks`` is no key that can be set here.
-            context = HydraContext(hydra.config_loader, Callback())  # type: ignore[arg-type]
-            return Plugins.instance().instantiate_launcher(
-                hydra_context=context, task_function=task, config=config
-            )
-        except (HydraException, OmegaConfBaseException, ImportError, RuntimeError) as error:
-            raise ConfigError(str(error).strip().splitlines()[0]) from error
+
+    def make(context: HydraContext, config: DictConfig) -> Launcher:
+        return Plugins.instance().instantiate_launcher(
+            hydra_context=context, task_function=task, config=config
+        )
+
+    return instantiated(make, chosen, place, own)

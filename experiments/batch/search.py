@@ -6,20 +6,14 @@ import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hydra import initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
-from hydra.errors import HydraException
-from hydra.experimental.callback import Callback
 from hydra.plugins.sweeper import Sweeper
-from hydra.types import HydraContext, RunMode
+from hydra.types import HydraContext
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 
-from conf import ConfigError, register_schema
-from conf.overrides import FOLDER
-from conf.user_paths import quoted
+from conf import ConfigError
+from experiments.batch.plugins import instantiated
 from training.run_folder import RunFolder
 
 MEASURES = ("success", "ee", "ee_bits_per_joule", "sum_rate", "min_rate", "path_ratio")
@@ -69,8 +63,6 @@ def build_sweeper(trial: Trial, hydra: Sequence[str], place: Path) -> Sweeper:
     Raises:
         ConfigError: an override is wrong, or the sweeper is not installed.
     """
-    quiet = ["hydra/job_logging=none", "hydra/hydra_logging=none", "hydra.output_subdir=null"]
-    where = [f"hydra.sweep.dir={quoted(str(place))}", "hydra.sweep.subdir=."]
     # With a seed the same command chooses the same values anew, and finds their runs done.
     ours = ["direction=maximize", "n_jobs=1"]
     ours += [] if "hydra/sweeper/sampler=grid" in hydra else ["sampler.seed=0"]
@@ -80,24 +72,13 @@ def build_sweeper(trial: Trial, hydra: Sequence[str], place: Path) -> Sweeper:
         job = HydraConfig.get()
         return trial(int(job.job.num), list(job.overrides.task))
 
-    register_schema()
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(str(FOLDER), version_base="1.3", job_name="risfleet"):
-        loaded = GlobalHydra.instance().hydra
-        assert loaded is not None
-        try:
-            config = loaded.compose_config(
-                config_name="config",
-                overrides=[*where, *quiet, *(item for item in hydra if "/" in item), *ours]
-                + [item for item in hydra if "/" not in item],
-                run_mode=RunMode.MULTIRUN,
-                with_log_configuration=False,
-            )
-            context = HydraContext(loaded.config_loader, Callback())  # type: ignore[arg-type]
-            sweeper = Plugins.instance().instantiate_sweeper(
-                hydra_context=context, task_function=task, config=config
-            )
-        except (HydraException, OmegaConfBaseException, ImportError, RuntimeError) as error:
-            raise ConfigError(str(error).strip().splitlines()[0]) from error
+    def make(context: HydraContext, config: DictConfig) -> Sweeper:
+        return Plugins.instance().instantiate_sweeper(
+            hydra_context=context, task_function=task, config=config
+        )
+
+    choices = [item for item in hydra if "/" in item]
+    keys = [*ours, *(item for item in hydra if "/" not in item)]
+    sweeper = instantiated(make, choices, place, keys)
     logging.getLogger("optuna").setLevel(logging.WARNING)
     return sweeper
