@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,15 @@ from conf import Config, robot_network
 from env.local_env import LocalEnv
 from env.scenario import Scenario
 from env.seeding import Stream, stream
-from lockstep import Expect, Flag, Step
+from lockstep import Expect, Flag, Payload, Step
+from training.exchange.facts import plain
+from training.exchange.outbox import outboxes
 
 # As numbers: NumPy looks for attributes on an enum's member, which runs Python code whose errors
 # it drops, a KeyboardInterrupt among them.
 OUTCOME, ARRIVED, DRIVING = int(Flag.OUTCOME), int(Flag.ARRIVED), int(Flag.DRIVING)
+
+_OUTBOX = "outbox."
 
 
 class RobotGroup:
@@ -57,6 +61,7 @@ class RobotGroup:
             worlds=config.train.worlds,
         )
         self.parameters = self.agents.shape.parameters
+        self._outboxes = outboxes(config, robots, self.parameters)
         self.window = 0
         self._cell = np.zeros(rows, dtype=np.int32)
         self._observation = np.zeros((rows, self._slice.observation_size), np.float32)
@@ -107,11 +112,44 @@ class RobotGroup:
         """Whether anything is observed now that the outcome did not lead to."""
         return any((updates[part] != updates[f"outcome_{part}"]).any() for part in self._seen)
 
-    def upload(self) -> NDArray[np.float32]:
-        """Online and target weights of each robot, float32, shape (n, 2, P)."""
-        return self.agents.weights()
+    def upload(self) -> Payload:
+        """What each robot sends: its online and target weights, float32, shape (n, 2, P).
 
-    def download(self, window: int, weights: NDArray[np.float32]) -> None:
-        """Takes the global model of a window, float32, shape (2, P)."""
-        check_model(window, weights)
-        self.agents.load(weights)
+        Options have it send something else, see ``training.exchange.outbox``.
+        """
+        weights = self.agents.weights()
+        if not self._outboxes:
+            return weights
+        pairs = zip(self._outboxes, weights, strict=True)
+        sent: Payload = np.stack([box.send(self.window, own) for box, own in pairs])
+        return sent
+
+    def download(self, window: int, weights: Payload) -> None:
+        """Takes a window's global model, plain, shape (2, P), or packed, or (n, 2, P) own ones."""
+        if self._outboxes:
+            each = weights if weights.ndim == 3 else [weights] * len(self._outboxes)
+            weights = np.stack(
+                [box.take(given) for box, given in zip(self._outboxes, each, strict=True)]
+            )
+        model = plain(weights)
+        check_model(window, model)
+        self.agents.load(model)
+
+    def robot_state(self, index: int) -> dict[str, NDArray[np.generic]]:
+        """All that one of the robots needs to go on from the end of a window.
+
+        Args:
+            index: its place among these robots.
+        """
+        state = self.agents.agent_state(index)
+        if self._outboxes:
+            state |= {f"{_OUTBOX}{key}": a for key, a in self._outboxes[index].state().items()}
+        return state
+
+    def restore_robot(self, index: int, state: Mapping[str, NDArray[np.generic]]) -> None:
+        """Takes back what ``robot_state`` gave; a wrong shape is a ValueError."""
+        own = {k: a for k, a in state.items() if not k.startswith(_OUTBOX)}
+        self.agents.restore_agent(index, own)
+        if self._outboxes:
+            kept = {k.removeprefix(_OUTBOX): a for k, a in state.items() if k not in own}
+            self._outboxes[index].restore(kept)

@@ -30,11 +30,11 @@ from storage.checkpoint_files import (
     save_checkpoint,
 )
 from storage.checkpoint_layout import room_folder, room_owner
-from training.aggregation.strategies import build_aggregator
 from training.checkpoint import flat, part
 from training.controllers.access_point import NetworkAgent
 from training.controllers.schemes import build_ris_controller
 from training.coordinator import Coordinator
+from training.exchange.federation import build_federation
 from training.partition import step_layout
 from training.recording.history import METRICS, episode_row
 from training.recording.progress import Progress
@@ -74,9 +74,8 @@ class HostedRoom:
         self._ap = build_ris_controller(config, world)
         self._group = RoomRobots(config, robots)
         self._fleet = InProcessFleet([(robots, self._group)], step_layout(config))
-        aggregator = build_aggregator(config.strategy, len(robots))
         self._coordinator = Coordinator(
-            config, world, self._ap, self._fleet, aggregator, self, stop=self._is_due
+            config, world, self._ap, self._fleet, build_federation(config), self, stop=self._is_due
         )
         self._until = 0
         self._rows: list[list[float]] = []
@@ -102,15 +101,14 @@ class HostedRoom:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that the room needs to go on from the end of a round."""
-        agents = self._group.agents
-        robots = {f"robot-{k}": agents.agent_state(k) for k in self._group.robots}
+        robots = {f"robot-{k}": self._group.robot_state(k) for k in self._group.robots}
         return {**self._coordinator.state(), **flat(robots)}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
         self._coordinator.begin(np.zeros((2, self.parameters), np.float32), state)
         for robot in self._group.robots:
-            self._group.agents.restore_agent(robot, part(state, f"robot-{robot}"))
+            self._group.restore_robot(robot, part(state, f"robot-{robot}"))
 
     def on_start(self) -> None:
         """See ``Observer.on_start``."""

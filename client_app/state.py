@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from client_app.robots import RobotGroup
 from conf import Config
-from lockstep import Expect, Step
+from lockstep import Expect, Payload, Step
 from storage.checkpoint_files import CheckpointError, Writer, load_checkpoint, save_checkpoint
 from storage.checkpoint_layout import robot_folder, robot_owner, robot_windows, round_folder
 
@@ -52,16 +52,17 @@ class CheckpointedRobots:
             self._ended = (step.window, step.expect is Expect.END_ROUND)
         return actions
 
-    def upload(self) -> NDArray[np.float32]:
+    def upload(self) -> Payload:
         """See ``Robots.upload``.
 
         Raises:
             OSError: a checkpoint could not be written before.
         """
+        sent = self._group.upload()  # before it is saved: a robot remembers what it has sent
         self._save()
-        return self._group.upload()
+        return sent
 
-    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+    def download(self, window: int, weights: Payload) -> None:
         """See ``Robots.download``."""
         self._group.download(window, weights)
 
@@ -75,7 +76,7 @@ class CheckpointedRobots:
         kept = [_whole_windows(self._state, robot, self._config.run.id) for robot in robots]
         return sorted(frozenset.intersection(*kept))
 
-    def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
+    def begin(self, window: int, model: Payload | None) -> None:
         """See ``Robots.begin``.
 
         Raises:
@@ -160,7 +161,7 @@ def save_state(
         save: ``storage.checkpoint_files.save_checkpoint``, or a writer's.
     """
     for index, robot in enumerate(group.robots):
-        arrays = group.agents.agent_state(index)
+        arrays = group.robot_state(index)
         save(place(state, robot), window, arrays, robot_owner(group.run, robot))
 
 
@@ -175,4 +176,4 @@ def load_state(group: RobotGroup, state: Path, window: int) -> None:
         if folder is None:
             raise CheckpointError(f"{robot_folder(state, robot)} holds no checkpoint {window}")
         arrays, _ = load_checkpoint(folder, window, robot_owner(group.run, robot))
-        group.agents.restore_agent(index, arrays)
+        group.restore_robot(index, arrays)

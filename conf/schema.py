@@ -100,6 +100,20 @@ class LinkConfig:
 
 
 @dataclass(frozen=True)
+class CompressionConfig:
+    """Fewer bytes for weights on their way, as packed differences with error feedback."""
+
+    up: Annotated[
+        str, Literal["none", "q8", "q4", "q1", "topk"], "robots' uploads: so many bits a number"
+    ] = "none"
+    down: Annotated[str, Literal["none", "q8", "q4", "q1", "topk"], "the global model"] = "none"
+    keep: Annotated[float, Interval(gt=0, le=1), "topk: share of the numbers that are sent"] = 0.01
+    targets: Annotated[
+        str, Literal["averaged", "copied"], "target networks: sent too, or copied from online ones"
+    ] = "averaged"
+
+
+@dataclass(frozen=True)
 class FederationConfig:
     """How robots are dealt to Flower clients and how often weights are averaged."""
 
@@ -116,6 +130,7 @@ class FederationConfig:
         "wait for a robot or process that is lost to come back; miss: its rooms miss the round",
     ] = "wait"
     loss_timeout_s: Annotated[Seconds, "how long to wait for it"] = 300.0
+    compression: CompressionConfig = field(default_factory=CompressionConfig)
     link: LinkConfig = field(default_factory=LinkConfig)
 
 

@@ -13,7 +13,7 @@ from lockstep.errors import (
 )
 from lockstep.interface import Fleet, Robots
 from lockstep.local import InProcessFleet, LocalFleet
-from lockstep.messages import UPDATE, Expect, Flag, Layout, Step
+from lockstep.messages import UPDATE, Expect, Flag, Layout, Payload, Step
 from lockstep.server import LinkServer
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "LinkServer",
     "LinkTimeout",
     "LocalFleet",
+    "Payload",
     "ProtocolError",
     "Refused",
     "RobotFailed",

@@ -6,10 +6,8 @@ import logging
 import socket
 import ssl
 import time
-from collections.abc import Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from lockstep.errors import Disconnected, FrameError, LinkTimeout, Refused, ServerLost, described
 from lockstep.frame_stream import FrameStream, prepare
@@ -30,6 +28,8 @@ from lockstep.messages import (
     Step,
     Weights,
     Welcome,
+    checked_download,
+    checked_model,
 )
 from lockstep.messages import Rejection as RefusedMessage
 from lockstep.wire_format import TEXT_SIZE, step_size, weights_size
@@ -102,7 +102,8 @@ def _entered(
 ) -> _Line:
     """Say hello and hear the welcome."""
     hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
-    limit = max(TEXT_SIZE, step_size(len(robots), layout), weights_size((2, n_parameters)))
+    most = weights_size((max(len(robots), 1), 2, n_parameters))
+    limit = max(TEXT_SIZE, step_size(len(robots), layout), most)
     line = _Line(FrameStream(sock, limit), timeout_s, layout)
     line.wait_up_to(timeout_s)
     line.send(encode(hello))
@@ -169,7 +170,7 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
             rows, due = len(message.updates), count * line.layout.worlds
             if rows != due:
                 raise FrameError(f"a step of {rows} records, not {due}")
-            given = answer(handler, message, count, n_parameters)
+            given = answer(handler, message, count, n_parameters, line.layout)
             if given is None:
                 return
             if message.expect is Expect.ACTIONS:
@@ -179,14 +180,17 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
                 uploaded = message.window
                 line.send(encode(Weights(message.window, given)))
         elif isinstance(message, Weights) and message.window == uploaded:
-            handler.download(message.window, _fitting(message.weights, n_parameters))
+            fits = _fitting(checked_download, message.weights, count, n_parameters, line.layout)
+            handler.download(message.window, fits)
             uploaded = -1
         elif isinstance(message, Abort):
             uploaded = -1
             line.send(encode(Ack(message.number, tuple(handler.windows()))))
         elif isinstance(message, Restore):
             model = message.model
-            handler.begin(message.window, None if model is None else _fitting(model, n_parameters))
+            if model is not None:
+                model = _fitting(checked_model, model, count, n_parameters)
+            handler.begin(message.window, model)
             uploaded = -1
             line.send(encode(Ack(message.number)))
         elif isinstance(message, Failure):
@@ -195,11 +199,12 @@ def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> No
             raise FrameError(f"{type(message).__name__} out of turn")
 
 
-def _fitting(model: NDArray[np.float32], n_parameters: int) -> NDArray[np.float32]:
-    """A model of the server's, if it has the shape that was agreed."""
-    if model.shape != (2, n_parameters):
-        raise FrameError(f"weights of shape {model.shape}, not {2, n_parameters}")
-    return model
+def _fitting(check: Callable[..., Any], *given: object) -> Any:
+    """What the server sends, if it is as was agreed."""
+    try:
+        return check(*given)
+    except (TypeError, ValueError) as error:
+        raise FrameError(str(error)) from error
 
 
 def _connected(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from lockstep.frame_stream import FrameStream
 from lockstep.messages import Layout
-from lockstep.wire_format import TEXT_SIZE, actions_size, weights_size
+from lockstep.wire_format import TEXT_SIZE, actions_size, upload_size
 
 
 @dataclass(slots=True)
@@ -43,9 +43,9 @@ class ClientSlot:
         self._cuts = [slice(k * robot, (k + 1) * robot) for k in block]
         if isinstance(self.rows, slice):
             self._cuts = [slice(block[0] * robot, (block[-1] + 1) * robot)]
-        self.upload_shape = (len(block), *shape)
         longest = actions_size(len(block), layout)
-        self.limit = max(TEXT_SIZE, longest, weights_size(self.upload_shape))
+        upload = upload_size(len(block), shape[1], layout)
+        self.limit = max(TEXT_SIZE, longest, upload)
         self.stats = stats
         self.stream: FrameStream | None = None
         self.awaited = False

@@ -55,6 +55,8 @@ _STEP_FRAME = struct.Struct("<4sBBHIQIBxH")
 _ACTIONS_FRAME = struct.Struct("<4sBBHIQI")
 _FLAGS = int(Flag.OUTCOME | Flag.ARRIVED | Flag.DRIVING)
 _WANTS = tuple(Expect)
+_DIMENSIONS = {False: (2, 3), True: (1, 2)}
+"""Of plain and of packed weights."""
 
 
 def step_frame(tick: int, window: int, expect: Expect, records: bytes, count: int) -> bytes:
@@ -103,20 +105,24 @@ def _encode_actions(message: Actions) -> bytes:
 
 
 def _encode_weights(message: Weights) -> bytes:
-    weights = np.ascontiguousarray(message.weights, "<f4")
-    if weights.ndim not in (2, 3) or 0 in weights.shape:
+    packed = message.weights.dtype == np.uint8
+    weights = np.ascontiguousarray(message.weights, "u1" if packed else "<f4")
+    if weights.ndim not in _DIMENSIONS[packed] or 0 in weights.shape:
         raise FrameError(f"weights of shape {weights.shape}")
     shape = weights.shape + (0,) * (3 - weights.ndim)
-    return _framed(Kind.WEIGHTS, WEIGHTS.pack(message.window, weights.ndim, *shape), weights.data)
+    head = WEIGHTS.pack(message.window, weights.ndim, packed, *shape)
+    return _framed(Kind.WEIGHTS, head, weights.data)
 
 
 def _encode_begin(begin: Restore) -> bytes:
     if begin.model is None:
-        return _framed(Kind.RESTORE, RESTORE.pack(begin.number, begin.window, 0, 0))
+        return _framed(Kind.RESTORE, RESTORE.pack(begin.number, begin.window, 0, 0, 0, 0))
     model = np.ascontiguousarray(begin.model, "<f4")
-    if model.ndim != 2 or 0 in model.shape:
+    if model.ndim not in _DIMENSIONS[False] or 0 in model.shape:
         raise FrameError(f"a model of shape {model.shape}")
-    return _framed(Kind.RESTORE, RESTORE.pack(begin.number, begin.window, *model.shape), model.data)
+    shape = model.shape + (0,) * (3 - model.ndim)
+    head = RESTORE.pack(begin.number, begin.window, model.ndim, *shape)
+    return _framed(Kind.RESTORE, head, model.data)
 
 
 def _encode_ready(ready: Ack) -> bytes:
@@ -207,21 +213,29 @@ def _decode_actions(body: memoryview) -> Actions:
 
 
 def _decode_weights(body: memoryview) -> Weights:
-    window, ndim, *dims = WEIGHTS.unpack_from(body)
-    if ndim not in (2, 3) or 0 in dims[:ndim] or any(dims[ndim:]):
+    window, ndim, packed, *dims = WEIGHTS.unpack_from(body)
+    if packed not in (0, 1):
+        raise ValueError("an unknown kind of numbers")
+    return Weights(window, _array(body, WEIGHTS.size, ndim, dims, packed=packed == 1))
+
+
+def _array(body: memoryview, offset: int, ndim: int, dims: list[int], *, packed: bool) -> Any:
+    """The weights behind the head of a body."""
+    if ndim not in _DIMENSIONS[packed] or 0 in dims[:ndim] or any(dims[ndim:]):
         raise ValueError(f"{ndim} dimensions {dims}")
-    if len(body) != WEIGHTS.size + 4 * math.prod(dims[:ndim]):
+    kind = np.dtype("u1" if packed else "<f4")
+    if len(body) != offset + kind.itemsize * math.prod(dims[:ndim]):
         raise ValueError(f"{len(body)} bytes are not weights of shape {dims[:ndim]}")
-    return Weights(window, np.frombuffer(body, "<f4", offset=WEIGHTS.size).reshape(dims[:ndim]))
+    return np.frombuffer(body, kind, offset=offset).reshape(dims[:ndim])
 
 
 def _decode_begin(body: memoryview) -> Restore:
-    number, window, *shape = RESTORE.unpack_from(body)
-    if len(body) != RESTORE.size + 4 * math.prod(shape) or (0 in shape and any(shape)):
-        raise ValueError(f"{len(body)} bytes are not a model of shape {shape}")
-    if not any(shape):
+    number, window, ndim, *dims = RESTORE.unpack_from(body)
+    if not ndim:
+        if any(dims) or len(body) != RESTORE.size:
+            raise ValueError(f"{len(body)} bytes where no model is")
         return Restore(number, window, None)
-    return Restore(number, window, np.frombuffer(body, "<f4", offset=RESTORE.size).reshape(shape))
+    return Restore(number, window, _array(body, RESTORE.size, ndim, dims, packed=False))
 
 
 def _decode_ready(body: memoryview) -> Ack:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lockstep.errors import ProtocolError
-from lockstep.messages import Expect, Step, checked_actions, checked_weights
+from lockstep.messages import Expect, Layout, Payload, Step, checked_actions, checked_upload
 
 
 class Robots(Protocol):
@@ -17,12 +17,12 @@ class Robots(Protocol):
         """Learn from the outcome; answer int32, one a row, if the step wants actions, else None."""
         ...
 
-    def upload(self) -> NDArray[np.float32]:
-        """Online and target weights of each robot, float32 (n, 2, P)."""
+    def upload(self) -> Payload:
+        """Weights of each robot, as the layout says; called once in a window."""
         ...
 
-    def download(self, window: int, weights: NDArray[np.float32]) -> None:
-        """Take the global model of a window, float32 (2, P)."""
+    def download(self, window: int, weights: Payload) -> None:
+        """Take the global model of a window, or each robot its own, as the layout says."""
         ...
 
     def windows(self) -> Sequence[int]:
@@ -30,28 +30,28 @@ class Robots(Protocol):
         ...
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
-        """Go to the state after a window, 0 being the start; then take a model (2, P), if any."""
+        """Go to the state after a window, 0 being the start; then take plain weights, if any."""
         ...
 
 
-def answer(handler: Robots, step: Step, robots: int, n_parameters: int | None) -> np.ndarray | None:
+def answer(
+    handler: Robots, step: Step, robots: int, n_parameters: int, layout: Layout
+) -> np.ndarray | None:
     """What a handler answers to a step, checked: actions, weights, or None at the end of a round.
 
     Args:
         handler: of n robots.
         step: for them.
         robots: n.
-        n_parameters: P, or None as long as it is not known.
+        n_parameters: P.
+        layout: of the frames.
     """
     actions = handler.step(step)
     if step.expect is Expect.ACTIONS:
         return checked_actions(actions, len(step.updates))
     if step.expect is Expect.END_ROUND:
         return None
-    weights = handler.upload()
-    if n_parameters is None:
-        n_parameters = weights.shape[-1]
-    return checked_weights(weights, (robots, 2, n_parameters))
+    return checked_upload(handler.upload(), robots, n_parameters, layout)
 
 
 class Fleet(Protocol):
@@ -65,12 +65,12 @@ class Fleet(Protocol):
         """The answers to the step of this tick, int32 (K E,), -1 where a robot is not driving."""
         ...
 
-    def upload(self, window: int) -> NDArray[np.float32]:
-        """The weights after a window, float32 (K, 2, P)."""
+    def upload(self, window: int) -> Payload:
+        """The weights after a window: plain (K, 2, P), or packed as the layout says."""
         ...
 
-    def download(self, window: int, weights: NDArray[np.float32]) -> None:
-        """Give all robots the global model of a window, float32 (2, P)."""
+    def download(self, window: int, weights: Payload) -> None:
+        """Give robots weights: plain (2, P) for all or (K, 2, P), or packed ones for all."""
         ...
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:

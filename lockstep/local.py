@@ -12,10 +12,13 @@ from lockstep.messages import (
     PLAIN,
     Expect,
     Layout,
+    Payload,
     Step,
     checked_actions,
+    checked_download,
     checked_updates,
-    checked_weights,
+    checked_upload,
+    of_block,
     robot_count,
 )
 
@@ -69,20 +72,20 @@ class LocalFleet:
             result[rows] = given
         return result
 
-    def upload(self, window: int) -> NDArray[np.float32]:
+    def upload(self, window: int) -> Payload:
         """See `Fleet.upload`."""
         self._check_open()
         self._protocol.on_upload(window)
         return self._uploaded()
 
-    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+    def download(self, window: int, weights: Payload) -> None:
         """See `Fleet.download`."""
         self._check_open()
-        checked_weights(weights, (2, self._parameters or 0))
+        checked_download(weights, self._robots, self._parameters or weights.shape[-1], self._layout)
         self._protocol.on_download(window)
         for block, _, handler in self._handlers:
             with self._failing(block):
-                handler.download(window, weights.copy())
+                handler.download(window, of_block(weights, block))
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`."""
@@ -90,22 +93,24 @@ class LocalFleet:
         self._protocol = ProtocolState()
         for block, _, handler in self._handlers:
             with self._failing(block):
-                handler.begin(window, None if model is None else model.copy())
+                handler.begin(window, None if model is None else of_block(model, block))
 
     def close(self) -> None:
         """See `Fleet.close`."""
         self._closed = True
 
-    def _uploaded(self) -> NDArray[np.float32]:
+    def _uploaded(self) -> Payload:
         """The robots' weights as they are now, in robot order."""
-        parts: dict[tuple[int, ...], NDArray[np.float32]] = {}
+        parts: dict[tuple[int, ...], Payload] = {}
         for block, _, handler in self._handlers:
             with self._failing(block):
                 weights = handler.upload()
-                if self._parameters is None:
+                if self._parameters is None and not self._layout.upload:
                     self._parameters = weights.shape[-1]
-                parts[block] = checked_weights(weights, (len(block), 2, self._parameters))
-        result = np.empty((self._robots, 2, self._parameters or 0), np.float32)
+                parameters = self._parameters or 0
+                parts[block] = checked_upload(weights, len(block), parameters, self._layout)
+        first = next(iter(parts.values()))
+        result: Payload = np.empty((self._robots, *first.shape[1:]), first.dtype)
         for block, part in parts.items():
             result[list(block)] = part
         return result
@@ -133,6 +138,6 @@ class InProcessFleet(LocalFleet):
         super().send_step(tick, window, expect, updates)
         self._farewell = expect is Expect.END_ROUND
 
-    def upload(self, window: int) -> NDArray[np.float32]:
+    def upload(self, window: int) -> Payload:
         """See ``Fleet.upload``."""
         return self._uploaded() if self._farewell else super().upload(window)

@@ -8,8 +8,8 @@
 | `Ack` | client | the windows of which its robots have checkpoints | none |
 | `Step` | server | outcome of a tick, observation of the next, what is wanted | see `Expect` |
 | `Actions` | client | an action for each robot, -1 where it is not driving | the next `Step` |
-| `Weights` | client | upload: (n, 2, P), online then target, of each robot | `Weights` or `Step` |
-| `Weights` | server | download: (2, P), the global model | none; a `Step` follows |
+| `Weights` | client | upload of each robot, see `Layout` | `Weights` or `Step` |
+| `Weights` | server | download: the global model, or each robot's own | none; a `Step` follows |
 | `Failure` | either | one line: why this side stops | none |
 
 `Abort` and `Restore` may come at any time. What the client sent before them counts no more: the
@@ -20,11 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-VERSION = 3
+VERSION = 4
 MAX_ROBOTS = 256
 MAX_ROWS = 2**16 - 1
 """Most records in a `Step`: robots times worlds."""
@@ -42,21 +43,31 @@ UPDATE = np.dtype(
 """One robot's record in a `Step`: packed, little-endian, 26 bytes."""
 
 
+Payload = NDArray[Any]
+"""Weights on their way: float32 where plain, uint8 where packed, see `Layout`."""
+
+
 @dataclass(frozen=True)
 class Layout:
-    """What stands in a `Step`: the same for all robots of a run, and known to both sides.
+    """What stands in frames: the same for all robots of a run, and known to both sides.
 
-    Rows are robot-major: a robot's rows, one for each world, stand side by side.
+    Records of a `Step` are robot-major: a robot's rows, one for each world, stand side by side.
+    Plain weights are float32, online then target: (n, 2, P) up, (2, P) down, or (n, 2, P) where
+    each robot is given its own. Packed ones are uint8: (n, `upload`) up, (`download`,) down.
 
     Attributes:
         worlds: E, copies of the world in which each robot drives.
         broadcast: numbers that the access point broadcasts to each robot in a slot.
         credit: whether it also tells robots what the slot was worth.
+        upload: bytes of a robot's packed weights; 0 sends plain ones.
+        download: bytes of a packed global model, likewise.
     """
 
     worlds: int = 1
     broadcast: int = 0
     credit: bool = False
+    upload: int = 0
+    download: int = 0
 
     @cached_property
     def record(self) -> np.dtype[np.void]:
@@ -121,10 +132,10 @@ class Actions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weights:
-    """Weights of a window: float32 (n, 2, P) up, (2, P) down."""
+    """Weights of a window, as `Layout` says."""
 
     window: int
-    weights: NDArray[np.float32]
+    weights: Payload
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +170,7 @@ class Abort:
 class Restore:
     """Go to the state after a window, 0 being the run's start; then take a model, if any.
 
-    `model`: float32 (2, P), or None where each robot keeps its own weights.
+    `model`: plain weights, or None where each robot keeps its own.
     """
 
     number: int
@@ -228,10 +239,42 @@ def checked_actions(actions: object, count: int) -> NDArray[np.int32]:
     return actions
 
 
-def checked_weights(weights: object, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Weights, if they are float32 of the shape that was agreed; they are never cast."""
+def checked_upload(weights: object, robots: int, parameters: int, layout: Layout) -> Payload:
+    """The weights of n robots, if they are as the layout says; they are never cast."""
+    found: Payload
+    if layout.upload:
+        found = _checked(weights, np.uint8, [(robots, layout.upload)])
+    else:
+        found = _checked(weights, np.float32, [(robots, 2, parameters)])
+    return found
+
+
+def checked_download(weights: object, robots: int, parameters: int, layout: Layout) -> Payload:
+    """A global model, or each of n robots' own, if it is as the layout says."""
+    if not layout.download:
+        return checked_model(weights, robots, parameters)
+    found: Payload = _checked(weights, np.uint8, [(layout.download,)])
+    return found
+
+
+def checked_model(weights: object, robots: int, parameters: int) -> NDArray[np.float32]:
+    """Plain weights for all, or each of n robots' own."""
+    found: NDArray[np.float32] = _checked(
+        weights, np.float32, [(2, parameters), (robots, 2, parameters)]
+    )
+    return found
+
+
+def of_block(weights: Any, block: Sequence[int]) -> Any:
+    """A copy of what a block of robots is given: what all take, or its own plain rows."""
+    return weights[list(block)] if weights.ndim == 3 else weights.copy()
+
+
+def _checked(weights: object, kind: type, shapes: Sequence[tuple[int, ...]]) -> Any:
+    """An array, if it is of this kind and of one of these shapes."""
     if not isinstance(weights, np.ndarray):
-        raise TypeError(f"weights must be a float32 array, not {type(weights).__name__}")
-    if weights.dtype != np.float32 or weights.shape != shape:
-        raise ValueError(f"weights {weights.dtype}{weights.shape} must be float32{shape}")
+        raise TypeError(f"weights must be a {kind.__name__} array, not {type(weights).__name__}")
+    if weights.dtype != kind or weights.shape not in shapes:
+        wanted = " or ".join(f"{kind.__name__}{shape}" for shape in shapes)
+        raise ValueError(f"weights {weights.dtype}{weights.shape} must be {wanted}")
     return weights

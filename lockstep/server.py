@@ -15,9 +15,13 @@ from lockstep.messages import (
     PLAIN,
     Expect,
     Layout,
+    Payload,
     Weights,
+    checked_download,
+    checked_model,
     checked_updates,
-    checked_weights,
+    checked_upload,
+    of_block,
     robot_count,
 )
 from lockstep.server_round import ServerRound
@@ -145,7 +149,9 @@ class LinkServer:
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`; once all clients are connected, whatever was under way."""
-        self._open.begin(window, model if model is None else checked_weights(model, self._shape))
+        if model is not None:
+            checked_model(model, self._robots, self._shape[1])
+        self._open.begin(window, model)
 
     def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
         """See `Fleet.send_step`."""
@@ -169,11 +175,14 @@ class LinkServer:
         exchange.gather(accept)
         return result
 
-    def upload(self, window: int) -> NDArray[np.float32]:
+    def upload(self, window: int) -> Payload:
         """See `Fleet.upload`."""
         exchange = self._open
         exchange.protocol.on_upload(window)
-        result = np.empty((self._robots, *self._shape), np.float32)
+        packed = self._layout.upload
+        result: Payload = np.empty((self._robots, *self._shape), np.float32)
+        if packed:
+            result = np.empty((self._robots, packed), np.uint8)
 
         def accept(slot: ClientSlot, frame: memoryview) -> None:
             message = decode(frame)
@@ -181,22 +190,26 @@ class LinkServer:
                 raise FrameError(
                     f"{type(message).__name__} where weights of window {window} are due"
                 )
-            if message.weights.shape != slot.upload_shape:
-                raise FrameError(
-                    f"weights of shape {message.weights.shape}, not {slot.upload_shape}"
+            try:
+                given = checked_upload(
+                    message.weights, len(slot.robots), self._shape[1], self._layout
                 )
-            result[slot.robots] = message.weights
+            except ValueError as error:
+                raise FrameError(str(error)) from error
+            result[slot.robots] = given
 
         exchange.gather(accept)
         return result
 
-    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+    def download(self, window: int, weights: Payload) -> None:
         """See `Fleet.download`."""
         exchange = self._open
-        frame = encode(Weights(window, checked_weights(weights, self._shape)))
+        checked_download(weights, self._robots, self._shape[1], self._layout)
         exchange.protocol.on_download(window)
+        frame = encode(Weights(window, weights)) if weights.ndim < 3 else b""
         for slot in exchange.slots.values():
-            exchange.send(slot, frame, awaited=False)
+            own = frame or encode(Weights(window, of_block(weights, slot.robots)))
+            exchange.send(slot, own, awaited=False)
 
     def stats(self) -> dict[tuple[int, ...], BlockStats]:
         """What each client has cost so far, over all rounds: bytes, frames, seconds waited."""

@@ -11,6 +11,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
@@ -22,7 +23,7 @@ from lockstep.errors import FrameError, LinkTimeout, RobotFailed, RobotLost, des
 from lockstep.frame_stream import FrameStream
 from lockstep.frames import decode, encode
 from lockstep.interface import ProtocolState
-from lockstep.messages import Abort, Ack, Failure, Restore
+from lockstep.messages import Abort, Ack, Failure, Restore, of_block
 from lockstep.wire_format import Kind
 
 log = logging.getLogger(__name__)
@@ -101,10 +102,15 @@ class ServerRound:
     def _order(self, order: Abort | Restore) -> None:
         """Send all clients an order that ends what is under way; keeps what their `Ack` say."""
         self._orders = order.number
-        frame = encode(order)
+        model = order.model if isinstance(order, Restore) else None
+        frame = encode(order) if model is None or model.ndim < 3 else b""
         for slot in self.slots.values():
             slot.stale = True
-            self.send(slot, frame, awaited=True)
+            if not frame and isinstance(order, Restore):
+                own = replace(order, model=of_block(model, slot.robots))
+                self.send(slot, encode(own), awaited=True)
+            else:
+                self.send(slot, frame, awaited=True)
 
         def accept(slot: ClientSlot, frame: memoryview) -> None:
             ready = decode(frame)

@@ -11,8 +11,8 @@ MAGIC = b"RISF"
 HEADER = struct.Struct("<4sBBHI")
 STEP = struct.Struct("<QIBxH")
 ACTIONS = struct.Struct("<QI")
-WEIGHTS = struct.Struct("<IB3xIII")
-RESTORE = struct.Struct("<IIII")
+WEIGHTS = struct.Struct("<IBB2xIII")
+RESTORE = struct.Struct("<IIB3xIII")
 ABORT = struct.Struct("<I")
 ACK = struct.Struct("<IH")
 MOST_WINDOWS = 256
@@ -60,8 +60,15 @@ def actions_size(robots: int, layout: Layout) -> int:
 
 
 def weights_size(shape: tuple[int, ...]) -> int:
-    """Bytes of a frame of weights."""
+    """Bytes of a frame of plain weights."""
     return HEADER.size + WEIGHTS.size + 4 * math.prod(shape)
+
+
+def upload_size(robots: int, parameters: int, layout: Layout) -> int:
+    """Bytes of the upload of so many robots, of P numbers each network."""
+    if layout.upload:
+        return HEADER.size + WEIGHTS.size + robots * layout.upload
+    return weights_size((robots, 2, parameters))
 
 
 def frame_size(head: memoryview, limit: int) -> int:

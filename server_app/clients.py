@@ -14,14 +14,13 @@ from collections.abc import Iterable
 import numpy as np
 from flwr.app import Message
 from flwr.serverapp import Grid
-from numpy.typing import NDArray
 
 from conf import Config, robot_network, waits_for_the_lost
-from lockstep import LinkServer, RobotLost
+from lockstep import LinkServer, Payload, RobotLost
 from lockstep.errors import named, one_line
 from server_app.nodes import RoundError, held_by, placed
 from server_app.round_messages import LinkAddress, RoundStart, read_reply, train_message
-from training.partition import Block, partition_robots
+from training.partition import Block, partition_robots, step_layout
 
 log = logging.getLogger(__name__)
 
@@ -169,19 +168,21 @@ class Clients:
                     raise RobotLost(block, where, "Flower had given it up and takes no reply")
         return waiting
 
-    def uploads(self) -> NDArray[np.float32]:
-        """The weights in the replies of all clients, float32, shape (K, 2, P).
+    def uploads(self) -> Payload:
+        """The weights in the replies of all clients, see ``lockstep.Fleet.upload``.
 
         Raises:
             RoundError: some are not of this type or shape.
         """
-        result = np.empty((self._config.env.robots, *self.shape), dtype=np.float32)
+        rows: dict[int, Payload] = {}
+        layout = step_layout(self._config)
         for block, reply in self.replies.items():
-            weights, spent_s = read_reply(reply, block, self.shape, self.round)
-            result[list(block)] = weights
+            weights, spent_s = read_reply(reply, block, self.shape[1], self.round, layout)
+            rows |= dict(zip(block, weights, strict=True))
             self.flower_bytes[block] += weights.nbytes
             self.cpu_s[block] += spent_s
-        return result
+        uploads: Payload = np.stack([rows[robot] for robot in range(self._config.env.robots)])
+        return uploads
 
     # --- Messages ---------------------------------------------------------------------------------
 

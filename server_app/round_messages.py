@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 from flwr.app import Array, ArrayRecord, ConfigRecord, Message, MessageType, RecordDict
-from numpy.typing import NDArray
 
 from conf import Config, to_yaml
 from lockstep.errors import named
+from lockstep.messages import Layout, Payload, checked_upload, of_block
 from server_app.nodes import RoundError
 from training.partition import Block
 
@@ -21,12 +20,12 @@ class RoundStart:
 
     Attributes:
         window: windows played before it, whose checkpoint the robots take; 0 is the run's start.
-        model: the global model that they take then, shape (2, P), or None.
+        model: the weights that they take then, as ``Fleet.download``'s, or None.
         resumed: whether they are to go on from checkpoints, which the link will say.
     """
 
     window: int
-    model: NDArray[np.float32] | None = None
+    model: Payload | None = None
     resumed: bool = False
 
 
@@ -75,7 +74,7 @@ def train_message(
             "window": start.window,
         }
     )
-    arrays = {} if start.model is None else {"model": Array(start.model)}
+    arrays = {} if start.model is None else {"model": Array(of_block(start.model, list(tokens)))}
     return Message(
         content=RecordDict({"arrays": ArrayRecord(arrays), "order": order}),
         message_type=MessageType.TRAIN,
@@ -85,24 +84,27 @@ def train_message(
 
 
 def read_reply(
-    reply: Message, block: Block, shape: tuple[int, int], number: int
-) -> tuple[NDArray[np.float32], float]:
+    reply: Message, block: Block, parameters: int, number: int, layout: Layout
+) -> tuple[Payload, float]:
     """What a client replies at the end of a round.
 
     Args:
         reply: its message.
         block: its robots.
-        shape: of one robot's weights, (2, P).
+        parameters: P.
         number: the round's.
+        layout: of what robots send.
 
     Returns:
-        The robots' weights, shape (n, 2, P), and the client's processor time in s.
+        The robots' weights, and the client's processor time in s.
 
     Raises:
         RoundError: the weights are of another type or shape.
     """
     weights = reply.content.array_records["arrays"]["robots"].numpy()
-    if weights.shape != (len(block), *shape) or weights.dtype != np.float32:
-        raise RoundError(f"round {number}: {named(block)} sent {weights.dtype}{weights.shape}")
+    try:
+        weights = checked_upload(weights, len(block), parameters, layout)
+    except ValueError as error:
+        raise RoundError(f"round {number}: {named(block)} sent {error}") from error
     spent = reply.content.metric_records["metrics"]["cpu_s"]
     return weights, float(spent)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config, waits_for_the_lost, windows_per_round
-from lockstep import Expect, LinkServer, LinkTimeout, RobotLost
+from lockstep import Expect, LinkServer, LinkTimeout, Payload, RobotLost
 from lockstep.errors import named
 from server_app.clients import Clients
 from server_app.nodes import POLL_S, RoundError
@@ -46,7 +46,7 @@ class FlowerFleet:
         self._config, self._link, self._clients, self._on_round = config, link, clients, on_round
         self._waits = waits_for_the_lost(config)
         self._per_round = windows_per_round(config)
-        self._model: NDArray[np.float32] | None = None
+        self._model: Payload | None = None
         self._base = 0
         self._open = self._farewell = False
         self._flower_s = 0.0
@@ -97,11 +97,11 @@ class FlowerFleet:
         """See ``Fleet.actions``."""
         return self._link.actions(tick)
 
-    def upload(self, window: int) -> NDArray[np.float32]:
+    def upload(self, window: int) -> Payload:
         """See ``Fleet.upload``: from the replies at the end of a round, else over the link."""
         return self._close_round() if self._farewell else self._link.upload(window)
 
-    def download(self, window: int, weights: NDArray[np.float32]) -> None:
+    def download(self, window: int, weights: Payload) -> None:
         """See ``Fleet.download``: kept for the next train message between rounds."""
         if self._open:
             self._link.download(window, weights)
@@ -175,8 +175,8 @@ class FlowerFleet:
         if clients.round > 1:
             self._flower_s += time.perf_counter() - began
 
-    def _close_round(self) -> NDArray[np.float32]:
-        """Waits for the replies and takes the weights out of them, shape (K, 2, P)."""
+    def _close_round(self) -> Payload:
+        """Waits for the replies and takes the weights out of them, see ``Fleet.upload``."""
         began = time.perf_counter()
         deadline = time.monotonic() + self._config.runtime.start_timeout_s
         while late := self._clients.missing():

@@ -21,11 +21,12 @@ from lockstep import Expect, Flag, Fleet
 from storage.generators import generator_state, restore_generator
 from training.checkpoint import flat, part
 from training.controllers.access_point import RisController
+from training.exchange.facts import WindowFacts, plain
 from training.partition import step_layout
 from training.recording.progress import Observer, Progress
 
 if TYPE_CHECKING:
-    from training.aggregation.aggregator import Aggregator
+    from training.exchange.federation import Federation
 
 # As NumPy's own numbers: it would look for attributes on an enum's member at every use.
 OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARRIVED, Flag.DRIVING))
@@ -39,7 +40,7 @@ class Coordinator:
         world: E worlds, in each of which all robots drive.
         ap: the controller of the RIS.
         fleet: the robots.
-        aggregator: the strategy, or None for independent learners.
+        federation: combines their weights, or None for independent learners.
         observer: receives episodes and windows.
         stop: called at every window boundary; True ends the run there.
         keep: callback after each aggregation window; receives ``is_last``.
@@ -51,7 +52,7 @@ class Coordinator:
         world: World,
         ap: RisController,
         fleet: Fleet,
-        aggregator: Aggregator | None,
+        federation: Federation | None,
         observer: Observer,
         stop: Callable[[], bool] = lambda: False,
         keep: Callable[[bool], None] = lambda final: None,
@@ -59,7 +60,8 @@ class Coordinator:
         self._config, self._layout = config, step_layout(config)
         self._actions = robot_actions(config)
         self._world, self._ap, self._fleet = world, ap, fleet
-        self._aggregator = aggregator
+        self._federation = federation
+        self._taken = np.zeros((world.robots, self._actions.count), np.int64)
         self._observer = observer
         self._stop, self._keep = stop, keep
         self._model: NDArray[np.float32] | None = None
@@ -92,7 +94,7 @@ class Coordinator:
         """Goes to where the run begins or goes on; arguments as ``run``.
 
         Returns:
-            The model that robots hold there, shape (2, P).
+            The model that robots hold there, shape (2, P), or each its own, (K, 2, P).
         """
         self._world.reset()
         self._tally = EpisodeAccumulator(self._world)
@@ -105,7 +107,7 @@ class Coordinator:
         """Plays windows until the run is over; may be called again to go on from there.
 
         Args:
-            model: what all robots hold, shape (2, P).
+            model: what all robots hold, shape (2, P), or each its own, (K, 2, P).
 
         Returns:
             The robots' weights after the last aggregation, shape (K, 2, P).
@@ -115,19 +117,36 @@ class Coordinator:
             self.progress.window += 1
             window = self.progress.window
             final = self._play_window(window)
-            self._shared = self._fleet.upload(window)
-            if self._aggregator is not None:
-                model = self._aggregator.aggregate(window, model, self._shared)
-                self._model, self._shared = model, model[None]
+            uploads = self._fleet.upload(window)
+            if self._federation is None:
+                self._shared = plain(uploads)
+            else:
+                found = self._federation.exchange(window, model, uploads, self._facts())
+                self._hold(model := found.model)
                 if not final:
-                    self._fleet.download(window, model)
+                    self._fleet.download(window, found.payload)
             self._observer.on_window(self.progress, self._shared, self._ap.weights())
             self._keep(final)
         return self._rows(model)
 
+    def _hold(self, model: NDArray[np.float32]) -> None:
+        """Notes what robots hold: all the same, shape (2, P), or each its own, (K, 2, P)."""
+        self._model = model
+        self._shared = model if model.ndim == 3 else model[None]
+
+    @property
+    def shared(self) -> bool:
+        """Whether all robots hold the same weights."""
+        return len(self._shared) == 1
+
+    def _facts(self) -> WindowFacts:
+        """What the window has shown beside the weights; counting begins anew."""
+        taken, self._taken = self._taken, np.zeros_like(self._taken)
+        return WindowFacts(self._world.measured_db[0], taken)
+
     def _rows(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
         """The robots' weights, shape (K, 2, P)."""
-        return np.array(np.broadcast_to(self._shared, (self._world.robots, *model.shape)))
+        return np.array(np.broadcast_to(self._shared, (self._world.robots, *model.shape[-2:])))
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All of the server's side that the run needs to go on from a window boundary."""
@@ -143,7 +162,7 @@ class Coordinator:
                 "world": self._world.state(),
                 "tally": self._tally.state(),
                 "ap": self._ap.state(),
-                "strategy": {} if self._aggregator is None else self._aggregator.state(),
+                "federation": {} if self._federation is None else self._federation.state(),
             }
         )
 
@@ -151,14 +170,16 @@ class Coordinator:
         """Takes back what ``state`` gave."""
         run = part(state, "run")
         self.progress = Progress(*(int(count) for count in run["progress"]))
-        self._model = run.get("model")
-        self._shared = run["robots"] if self._model is None else self._model[None]
+        if (model := run.get("model")) is None:
+            self._shared = run["robots"]
+        else:
+            self._hold(model)
         restore_generator(self._world.generator, run["stream"])
         self._world.restore(part(state, "world"))
         self._tally.restore(part(state, "tally"))
         self._ap.restore(part(state, "ap"))
-        if self._aggregator is not None:
-            self._aggregator.restore(part(state, "strategy"))
+        if self._federation is not None:
+            self._federation.restore(part(state, "federation"))
 
     def _play_window(self, window: int) -> bool:
         """Plays the ticks of a window; returns whether the run ends with it."""
@@ -189,7 +210,13 @@ class Coordinator:
             raise ValueError(
                 f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
             )
+        self._count_actions(chosen.reshape(-1, worlds))
         return self._actions.decode(chosen.reshape(-1, worlds).T)
+
+    def _count_actions(self, chosen: NDArray[np.int64]) -> None:
+        """Counts the actions that robots take, shape (K, E), -1 where one is not driving."""
+        robots, _ = drives = np.nonzero(chosen >= 0)
+        np.add.at(self._taken, (robots, chosen[drives]), 1)
 
     def _pass_on(
         self, window: int, action: NDArray[np.int64], outcome: StepResult, *, last: bool

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from conf import Config
+from conf import Config, robot_network, robots_learn
 from env.mdp.observation import ObservationEncoder
 from env.mdp.reward import RewardFunction
 from lockstep.messages import Layout
+from training.exchange.packing import packing
 
 Block = tuple[int, ...]
 """The robots of one client."""
 
 
 def step_layout(config: Config) -> Layout:
-    """What a run's steps carry."""
+    """What a run's frames carry."""
     told = ObservationEncoder(config.env).broadcast_size
-    return Layout(config.train.worlds, told, RewardFunction(config.env).weighs_credit)
+    credited = RewardFunction(config.env).weighs_credit
+    up, down = (
+        packing(config, robot_network(config).parameters) if robots_learn(config) else (None, None)
+    )
+    sizes = (0 if each is None else each.size for each in (up, down))
+    return Layout(config.train.worlds, told, credited, *sizes)
 
 
 def partition_robots(robots: int, clients: int) -> list[Block]:

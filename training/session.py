@@ -100,10 +100,10 @@ class TrainingRun:
         Returns:
             What ``summary.json`` holds.
         """
-        from training.aggregation.strategies import build_aggregator  # Flower: once a run trains
+        from training.exchange.federation import build_federation  # Flower: once a run trains
 
         try:
-            aggregator = build_aggregator(self.config.strategy, self.config.env.robots)
+            federation = build_federation(self.config)
         except BaseException:
             self.recorder.close()
             raise
@@ -117,7 +117,7 @@ class TrainingRun:
             self._checkpoint(run, last=last)
 
         run = Coordinator(
-            self.config, self.world, self.ap, fleet, aggregator, self.recorder, stop, keep
+            self.config, self.world, self.ap, fleet, federation, self.recorder, stop, keep
         )
         run.waited_s = self._waited_s
         resumed = self._resumed
@@ -130,7 +130,7 @@ class TrainingRun:
                 self.recorder.on_start()
             trained_s = self.recorder.end_training()
             self.recorder.report("finishing", run.progress)
-            summary = self._finish(run, robots, trained_s, shared=aggregator is not None)
+            summary = self._finish(run, robots, trained_s)
             self.recorder.finish(summary)
             self.recorder.report("done", run.progress)
         except BaseException:
@@ -164,12 +164,12 @@ class TrainingRun:
         self.recorder.checkpoint = window
 
     def _finish(
-        self, run: Coordinator, robots: NDArray[np.float32], trained_s: float, *, shared: bool
+        self, run: Coordinator, robots: NDArray[np.float32], trained_s: float
     ) -> dict[str, Any]:
         """Evaluates the final weights, and writes weights, summary and figures."""
         ap = self.ap.weights()
         self.folder.write_weights(robots, ap, self.config)
-        online = robots[:1, 0] if shared else robots[:, 0]
+        online = robots[:1, 0] if run.shared else robots[:, 0]
         found = evaluate(self.evaluator, online, ap[0], FINAL_EPSILON)
         self.recorder.show_episode(self.folder, run.progress, found.episode)
         history = self.recorder.history

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.reproduce.results import statistics
-from experiments.reproduce.results.output import Row, plain, save_figure, write_csv, write_table
-from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.results.statistics import Estimate, Floats, difference
-from experiments.reproduce.targets.plan import QUICK_SEEDS, THREE_SEEDS, Cell
-
-DEFAULT = "default"
-QUICK_EPISODES = 150
+from experiments.reproduce.results.output import plain, save_figure
+from experiments.reproduce.results.runs import Runs
+from experiments.reproduce.targets.comparison import Change, Comparison, Variant
+from experiments.reproduce.targets.plan import THREE_SEEDS
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "destination in the states": ("env.state.destination=none",),
@@ -56,98 +51,26 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """What is changed, by theme; the first of a theme is also in the quick scale."""
 
-MEASURES = {"success": ".2f", "path_ratio": ".3f", "ee": ".4f", "sum_rate": ".1f"}
-NOTE = (
-    "Means over the last five evaluations in training, eps = .05 (path ratio: greedy); the"
-    " interquartile mean over seeds, and in brackets the 95 % bootstrap interval. Differences are"
-    " from the default, seed by seed. Intervals over so few seeds are rough. Converged: in"
-    " episodes; ≥ marks a bound, where runs had not converged when they ended."
-)
 
-
-@dataclass(frozen=True)
-class Change:
-    """What a change came to.
-
-    Attributes:
-        group: its theme.
-        name: of its cell.
-        values: of each measure, with its interval.
-        differences: from the default, seed by seed.
-        converged: in episodes.
-        there: runs that converged.
-    """
-
-    group: str
-    name: str
-    values: dict[str, Estimate]
-    differences: dict[str, Estimate]
-    converged: Estimate
-    there: int
-
-
-class Ablations:
-    """See the module."""
-
-    name = "ablations"
-
-    def cells(self, quick: bool) -> list[Cell]:
-        """See ``Target``."""
-        seeds = QUICK_SEEDS if quick else THREE_SEEDS
-        common = ("env.robots=3", *((f"train.episodes={QUICK_EPISODES}",) if quick else ()))
-        changes = [c for group in GROUPS.values() for c in (group[:1] if quick else group)]
-        return [
-            Cell(DEFAULT, common, seeds),
-            *(Cell(_named(change), (*common, *change.split()), seeds) for change in changes),
-        ]
-
-    def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
-        """See ``Target``."""
-        found = changes_of(runs)
-        return [
-            *save_figure(_draw(found), out, self.name, quick=quick),
-            _write_table(out / "ablations.md", found),
-            _write_csv(out / "ablations.csv", found),
-            _write_runs(out / "ablations_runs.csv", runs),
-        ]
-
-
-TARGET = Ablations()
-
-
-def _named(change: str) -> str:
-    """A change without what only makes its checkpoints as rare as the others'."""
-    return " ".join(item for item in change.split() if not item.startswith("state.every"))
-
-
-def changes_of(runs: Runs) -> list[Change]:
-    """Every change that was trained, after the default itself."""
-    names = [(group, _named(c)) for group, changes in GROUPS.items() for c in changes]
-    default = runs[DEFAULT]
-    found = []
-    for group, name in [("", DEFAULT), *names]:
-        if name not in runs:
-            continue
-        ours = [runs[name][seed] for seed in sorted(runs[name])]
-        theirs = [default[run.seed] for run in ours]
-        times = statistics.times(ours, "episode")
-        found.append(
-            Change(
-                group,
-                name,
-                {key: statistics.estimate(_last5(ours, key)) for key in MEASURES},
-                {key: difference(_last5(ours, key), _last5(theirs, key)) for key in MEASURES},
-                statistics.converged(times),
-                int((~times.censored).sum()),
-            )
-        )
+def _variants() -> list[Variant]:
+    """The default, then every change; the first of a theme is quick."""
+    found = [Variant("")]
+    for group, changes in GROUPS.items():
+        found += [Variant(group, change, quick=i == 0) for i, change in enumerate(changes)]
     return found
 
 
-def _last5(runs: Sequence[Run], measure: str) -> Floats:
-    """A measure of each run, the mean over its last five evaluations; nan where nobody arrived."""
-    found = [run.summary["evaluation"]["last5"][measure] for run in runs]
-    return np.array([np.nan if value is None else value for value in found], float)
+class Ablations(Comparison):
+    """See the module."""
+
+    def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
+        """See ``Target``."""
+        figure = _draw(self.changes(runs))
+        drawn = save_figure(figure, out, self.name, quick=quick)
+        return [*drawn, *super().report(runs, out, quick=quick)]
+
+
+TARGET = Ablations("ablations", _variants(), ("env.robots=3",), THREE_SEEDS)
 
 
 def _draw(changes: Sequence[Change]) -> Figure:
@@ -164,7 +87,7 @@ def _draw(changes: Sequence[Change]) -> Figure:
             axes.plot(each.value, place, "o", color="#2e86de", markersize=5)
         axes.set_xlabel(f"difference in {label} from the default")
         plain(axes)
-    left.set_yticks(places, [change.name for change in rows], fontsize=9)
+    left.set_yticks(places, [change.variant.label for change in rows], fontsize=9)
     left.invert_yaxis()
     seeds = max(change.values["success"].count for change in changes)
     figure.suptitle(
@@ -173,41 +96,3 @@ def _draw(changes: Sequence[Change]) -> Figure:
         fontsize=10,
     )
     return figure
-
-
-def _write_table(path: Path, changes: Sequence[Change]) -> Path:
-    header = ("", "changed", "success", "path ratio", "EE", "converged", "Δ success", "Δ EE")
-    rows: list[Row] = []
-    for change in changes:
-        values = [change.values[key].text(MEASURES[key]) for key in ("success", "path_ratio", "ee")]
-        when = f"{change.converged.text('.0f')}, {change.there} of {change.converged.count}"
-        deltas = [change.differences[key].text("+" + MEASURES[key]) for key in ("success", "ee")]
-        if change.name == DEFAULT:
-            deltas = ["", ""]
-        rows.append((change.group, f"`{change.name}`", *values, when, *deltas))
-    return write_table(path, header, rows, NOTE)
-
-
-def _write_csv(path: Path, changes: Sequence[Change]) -> Path:
-    header = ("group", "changed", "measure", "value", "low", "high", "seeds", "bound")
-    rows: list[Row] = []
-    for change in changes:
-        named = {key: change.values[key] for key in MEASURES}
-        named |= {f"{key}_difference": change.differences[key] for key in MEASURES}
-        named["converged_episode"] = change.converged
-        rows += [
-            (change.group, change.name, key, e.value, e.low, e.high, e.count, e.bound)
-            for key, e in named.items()
-        ]
-    return write_csv(path, header, rows)
-
-
-def _write_runs(path: Path, runs: Runs) -> Path:
-    """A row a run."""
-    rows = []
-    for name, by_seed in runs.items():
-        for seed, run in by_seed.items():
-            when = (run.summary["converged"] or {}).get("episode")
-            values = [float(_last5([run], key)[0]) for key in MEASURES]
-            rows.append((name, seed, *values, when))
-    return write_csv(path, ("changed", "seed", *MEASURES, "converged_episode"), rows)

@@ -1,0 +1,1 @@
+"""What happens to weights on their way between robots and server."""
