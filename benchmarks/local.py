@@ -15,11 +15,11 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 from lockstep import Fleet, InProcessFleet
-from training.aggregation.strategies import build_aggregator
 from training.controllers.access_point import AccessPoint
 from training.controllers.central import CentralAgent
 from training.controllers.schemes import build_central
 from training.coordinator import Coordinator
+from training.exchange.federation import build_federation
 from training.recording.progress import Progress
 
 OVERRIDES = (
@@ -87,13 +87,13 @@ class ServerSide:
         """Takes joint steps, up to the end of a window."""
         train = dataclasses.replace(self._config.train, max_ticks=steps)
         config = dataclasses.replace(self._config, train=train)
-        aggregator = build_aggregator(config.strategy, config.env.robots)
+        federation = build_federation(config)
         run = Coordinator(
             config,
             self.world,
             self.ap,
             self._fleet,
-            aggregator,
+            federation,
             Unwatched(),
             keep=lambda final: self._keep(run),
         )

@@ -276,5 +276,5 @@ def _checked(weights: object, kind: type, shapes: Sequence[tuple[int, ...]]) -> 
         raise TypeError(f"weights must be a {kind.__name__} array, not {type(weights).__name__}")
     if weights.dtype != kind or weights.shape not in shapes:
         wanted = " or ".join(f"{kind.__name__}{shape}" for shape in shapes)
-        raise ValueError(f"weights {weights.dtype}{weights.shape} must be {wanted}")
+        raise ValueError(f"weights {weights.dtype} of shape {weights.shape} must be {wanted}")
     return weights

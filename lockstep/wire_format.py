@@ -71,6 +71,11 @@ def upload_size(robots: int, parameters: int, layout: Layout) -> int:
     return weights_size((robots, 2, parameters))
 
 
+def model_size(robots: int, parameters: int) -> int:
+    """Bytes of the longest frame with plain weights, each of so many robots its own."""
+    return HEADER.size + max(WEIGHTS.size, RESTORE.size) + 4 * robots * 2 * parameters
+
+
 def frame_size(head: memoryview, limit: int) -> int:
     """Bytes of the frame that begins here, header included.
 

@@ -105,6 +105,6 @@ def read_reply(
     try:
         weights = checked_upload(weights, len(block), parameters, layout)
     except ValueError as error:
-        raise RoundError(f"round {number}: {named(block)} sent {error}") from error
+        raise RoundError(f"round {number}: {named(block)} replied wrongly: {error}") from error
     spent = reply.content.metric_records["metrics"]["cpu_s"]
     return weights, float(spent)  # type: ignore[arg-type]

@@ -182,9 +182,9 @@ def play() -> Callable[..., Played]:
         from env.scenario import Scenario
         from env.seeding import Stream, stream
         from env.world import World
-        from training.aggregation.strategies import build_aggregator
         from training.controllers.access_point import AccessPoint
         from training.coordinator import Coordinator
+        from training.exchange.federation import build_federation
 
         first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
         initial = np.stack([first, first])
@@ -193,8 +193,8 @@ def play() -> Callable[..., Played]:
         scenario = Scenario.drawn(config.env, config.seed)
         world = World(scenario, stream(config.seed, Stream.WORLD), config.train.worlds)
         ap, watcher = AccessPoint(config), Watcher()
-        aggregator = build_aggregator(config.strategy, config.env.robots)
-        run = Coordinator(config, world, ap, fleet, aggregator, watcher, stop)
+        federation = build_federation(config)
+        run = Coordinator(config, world, ap, fleet, federation, watcher, stop)
         return Played(run.run(initial), ap.weights(), run, watcher)
 
     return make

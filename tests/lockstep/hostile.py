@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from link_helpers import PARAMETERS, SHAPE, WIDE, token
+from numpy.typing import NDArray
 
 from lockstep import frames
 from lockstep.errors import FrameError
@@ -30,6 +31,7 @@ _RECORDS = st.builds(
 _SHAPES = st.sampled_from([SHAPE, (1, *SHAPE), (3, *SHAPE)]) | hnp.array_shapes(max_side=4)
 _BITS = {
     "i": st.integers(-(2**31), 2**31 - 1),
+    "u": st.integers(0, 255),
     "f": st.sampled_from([0.0, 1.0, -1.5, float("nan"), float("inf"), 1e38]),
 }
 
@@ -48,7 +50,10 @@ def _field(hint):
     if isinstance(hint, type) and issubclass(hint, Expect):
         return st.sampled_from(hint)
     if typing.get_origin(hint) is np.ndarray:
-        dtype = np.dtype(typing.get_args(typing.get_args(hint)[1])[0])
+        of = typing.get_args(typing.get_args(hint)[1])[0]
+        if of is typing.Any:  # weights, plain or packed
+            return _field(NDArray[np.float32]) | _field(NDArray[np.uint8])
+        dtype = np.dtype(of)
         shapes = st.integers(0, 5) if dtype.kind == "i" else _SHAPES
         return hnp.arrays(dtype, shapes, elements=_BITS[dtype.kind], fill=st.nothing())
     if typing.get_origin(hint) in (list, tuple):

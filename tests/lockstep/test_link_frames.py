@@ -57,7 +57,10 @@ def steps(draw, layout=PLAIN):
 
 actions = st.builds(Actions, ticks, hnp.arrays("<i4", counts))
 weights = st.builds(
-    Weights, windows, hnp.arrays("<f4", hnp.array_shapes(min_dims=2, max_dims=3, max_side=5))
+    Weights,
+    windows,
+    hnp.arrays("<f4", hnp.array_shapes(min_dims=2, max_dims=3, max_side=5))
+    | hnp.arrays(np.uint8, hnp.array_shapes(min_dims=1, max_dims=2, max_side=5)),
 )
 hellos = st.integers(1, 9).flatmap(
     lambda n: st.builds(

@@ -306,7 +306,9 @@ def test_weights_of_a_wrong_shape_or_type_are_refused_by_name(
         content = RecordDict({"arrays": arrays, "metrics": MetricRecord({"cpu_s": 0.0})})
         return Message(content, reply_to=message)
 
-    with pytest.raises(RoundError, match=r"round 1: robot 2 sent float(32|64)\(1, 2, \d+\)"):
+    with pytest.raises(
+        RoundError, match=r"round 1: robot 2 replied wrongly: weights float(32|64) of shape"
+    ):
         play(config, fleet=make_fleet(config, FakeGrid(2, {1: crooked})))
 
 

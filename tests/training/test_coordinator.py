@@ -23,9 +23,9 @@ from env.seeding import Stream, stream
 from env.world import StepResult, World
 from lockstep import Expect, InProcessFleet, LinkServer, ServerLost, serve
 from lockstep.messages import Flag
-from training.aggregation.strategies import build_aggregator
 from training.controllers.access_point import AccessPoint
 from training.coordinator import Coordinator
+from training.exchange.federation import build_federation
 from training.partition import step_layout
 
 SHAPE = (2, 7)
@@ -158,9 +158,9 @@ class Rig:
         self.world = SpiedWorld(config)
         self.fleet = ScriptedFleet(self.world, self.log, homing)
         self.ap, self.observed = ScriptedPoint(self.log), Observed(self.log)
-        self.aggregator = build_aggregator(config.strategy, config.env.robots)
+        self.federation = build_federation(config)
         self.run = Coordinator(
-            config, self.world, self.ap, self.fleet, self.aggregator, self.observed, stop
+            config, self.world, self.ap, self.fleet, self.federation, self.observed, stop
         )
         self.weights = self.run.run(np.zeros(SHAPE, np.float32))
 
@@ -552,8 +552,8 @@ def test_robots_learn_from_what_each_world_says(tiny: Tiny, changes: dict[str, A
     group.download(0, initial)
     handlers: list[Any] = [(group.robots, group)]
     fleet = InProcessFleet(handlers, step_layout(config))
-    aggregator = build_aggregator(config.strategy, config.env.robots)
-    run = Coordinator(config, world, AccessPoint(config), fleet, aggregator, Observed([]))
+    federation = build_federation(config)
+    run = Coordinator(config, world, AccessPoint(config), fleet, federation, Observed([]))
     run.run(initial)
     over = np.array([slot.outcome.terminated | slot.outcome.truncated for slot in world.slots])
     assert over.shape == (200, 3)
