@@ -14,9 +14,9 @@ from flwr.serverapp.strategy import FedAdam, FedAvg, FedTrimmedAvg, Strategy
 
 from conf import ConfigError, StrategyConfig
 from experiments.cli import main
+from repeatable.kept import Kept
 from training.aggregation import own
 from training.aggregation.aggregator import Aggregator
-from training.aggregation.kept import Kept
 from training.aggregation.strategies import build_aggregator
 from training.preflight import checked_training
 from training.run_folder import RunFolder

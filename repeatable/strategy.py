@@ -1,0 +1,252 @@
+"""A wrapper that makes any Flower strategy repeat its runs, and go on after a crash."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from typing import Any, cast
+
+from flwr.app import ArrayRecord, ConfigRecord, Message, MetricRecord, RecordDict
+from flwr.serverapp import Grid
+from flwr.serverapp.strategy import Result, Strategy
+
+from repeatable import checkpoints
+from repeatable.checkpoints import Progress
+from repeatable.digests import digest
+from repeatable.isolation import seeded
+from repeatable.kept import Kept
+from repeatable.partitions import KEY, ClientLostError, Partitions, View, reason
+from storage.checkpoint_files import Json
+
+TRAIN, EVALUATE, SERVER = range(3)
+"""Phases of a round, in their order."""
+_CONFIGURE, _AGGREGATE = range(2)
+
+_LOG = logging.getLogger("flwr")
+
+Evaluate = Callable[[int, ArrayRecord], MetricRecord | None]
+
+
+class Repeatable(Strategy):
+    """A strategy whose runs end in the same bits from the same seed, also after a crash.
+
+    It sees partition k as node k + 1, replies in the order of partitions, and global generators
+    seeded for each call. All clients that it asks must answer.
+    """
+
+    def __init__(
+        self,
+        strategy: Strategy,
+        *,
+        seed: int,
+        state: str | os.PathLike[str] | None = None,
+        clients: int | None = None,
+        retries: int = 0,
+    ) -> None:
+        """Wraps a strategy.
+
+        Args:
+            strategy: a fresh one, which is the wrapper's from here on.
+            seed: at least 0.
+            state: an absolute folder that gets a checkpoint after each round, and from which a run
+                goes on that was interrupted; None or empty: neither.
+            clients: partitions, all of which are waited for; None takes the nodes' word.
+            retries: how often a round is played again in which a client was lost.
+        """
+        if seed < 0:
+            raise ValueError(f"seed={seed}: allowed is a whole number of at least 0")
+        self._strategy, self._seed, self._retries = strategy, seed, retries
+        self._folder = checkpoints.state_folder(state)
+        self._kept = Kept(strategy)
+        self._partitions = Partitions(clients)
+        self._asked: dict[int, Message] = {}
+        self._owner: dict[str, Json] = {}
+        self._run = ""
+
+    # --- A strategy -------------------------------------------------------------------------------
+
+    def configure_train(
+        self, server_round: int, arrays: ArrayRecord, config: ConfigRecord, grid: Grid
+    ) -> Iterable[Message]:
+        """As the strategy does, to the nodes that hold the partitions which it asks."""
+        nodes = self._partitions.nodes(grid)
+        with self._seeded(server_round, TRAIN, _CONFIGURE):
+            view = cast(Grid, View(grid, len(nodes)))
+            messages = list(self._strategy.configure_train(server_round, arrays, config, view))
+        return self._addressed(messages, nodes, server_round, TRAIN)
+
+    def aggregate_train(
+        self, server_round: int, replies: Iterable[Message]
+    ) -> tuple[ArrayRecord | None, MetricRecord | None]:
+        """As the strategy does, of replies in the order of partitions.
+
+        Raises:
+            ClientLostError: one that was asked gave no result.
+        """
+        ordered = self._ordered(server_round, replies)
+        with self._seeded(server_round, TRAIN, _AGGREGATE):
+            return self._strategy.aggregate_train(server_round, ordered)
+
+    def configure_evaluate(
+        self, server_round: int, arrays: ArrayRecord, config: ConfigRecord, grid: Grid
+    ) -> Iterable[Message]:
+        """See ``configure_train``."""
+        nodes = self._partitions.nodes(grid)
+        with self._seeded(server_round, EVALUATE, _CONFIGURE):
+            view = cast(Grid, View(grid, len(nodes)))
+            messages = list(self._strategy.configure_evaluate(server_round, arrays, config, view))
+        return self._addressed(messages, nodes, server_round, EVALUATE)
+
+    def aggregate_evaluate(
+        self, server_round: int, replies: Iterable[Message]
+    ) -> MetricRecord | None:
+        """See ``aggregate_train``."""
+        ordered = self._ordered(server_round, replies)
+        with self._seeded(server_round, EVALUATE, _AGGREGATE):
+            return self._strategy.aggregate_evaluate(server_round, ordered)
+
+    def summary(self) -> None:
+        """The strategy's own."""
+        self._strategy.summary()
+
+    # --- A run ------------------------------------------------------------------------------------
+
+    def start(
+        self,
+        grid: Grid,
+        initial_arrays: ArrayRecord,
+        num_rounds: int = 3,
+        timeout: float = 3600,
+        train_config: ConfigRecord | None = None,
+        evaluate_config: ConfigRecord | None = None,
+        evaluate_fn: Evaluate | None = None,
+    ) -> Result:
+        """As Flower's, and goes on from the newest whole checkpoint where there is one.
+
+        Raises:
+            OtherRunError: the folder holds a run of another seed, strategy or initial model.
+            ClientLostError: a client gave no result, as often as a round may be played.
+        """
+        fresh = Progress(
+            Result(initial_arrays),
+            train_config or ConfigRecord(),
+            evaluate_config or ConfigRecord(),
+        )
+        progress = self._begun(fresh, evaluate_fn)
+        while progress.round < num_rounds:
+            _LOG.info("[ROUND %s/%s]", progress.round + 1, num_rounds)
+            progress = self._safely_played(grid, progress, timeout, evaluate_fn)
+            self._save(progress)
+        return progress.result
+
+    def _begun(self, fresh: Progress, evaluate_fn: Evaluate | None) -> Progress:
+        """Where a run is that begins, or goes on."""
+        self._owner = {
+            "seed": self._seed,
+            "strategy": type(self._strategy).__name__,
+            "initial model": digest(fresh.result.arrays),
+        }
+        found = checkpoints.newest(self._folder, self._owner) if self._folder else None
+        progress = found or fresh
+        self._kept.restore(progress.strategy)
+        self._run = progress.run
+        if found:
+            _LOG.info("Going on from round %s", found.round)
+        else:
+            self._judge(fresh, evaluate_fn)
+            self._save(fresh)
+        return progress
+
+    def _safely_played(
+        self, grid: Grid, progress: Progress, timeout: float, evaluate_fn: Evaluate | None
+    ) -> Progress:
+        """The next round, from its beginning again where a client was lost."""
+        for left in range(self._retries, -1, -1):
+            try:
+                return self._played(grid, progress.copy(), timeout, evaluate_fn)
+            except ClientLostError as error:
+                if not left:
+                    raise
+                _LOG.warning("%s; the round is played again", error)
+                self._kept.restore(progress.strategy)
+        raise AssertionError
+
+    def _played(
+        self, grid: Grid, progress: Progress, timeout: float, evaluate_fn: Evaluate | None
+    ) -> Progress:
+        """One round as Flower's ``start`` plays it."""
+        progress.round += 1
+        number, result = progress.round, progress.result
+        asked = self.configure_train(number, result.arrays, progress.train_config, grid)
+        replies = grid.send_and_receive(asked, timeout=timeout)
+        arrays, metrics = self.aggregate_train(number, replies)
+        if arrays is not None:
+            result.arrays = arrays
+        if metrics is not None:
+            result.train_metrics_clientapp[number] = metrics
+        asked = self.configure_evaluate(number, result.arrays, progress.evaluate_config, grid)
+        replies = grid.send_and_receive(asked, timeout=timeout)
+        metrics = self.aggregate_evaluate(number, replies)
+        if metrics is not None:
+            result.evaluate_metrics_clientapp[number] = metrics
+        self._judge(progress, evaluate_fn)
+        progress.strategy = self._kept.state()
+        return progress
+
+    def _judge(self, progress: Progress, evaluate_fn: Evaluate | None) -> None:
+        """Evaluates the global model on the server."""
+        if evaluate_fn is not None:
+            with self._seeded(progress.round, SERVER, 0):
+                metrics = evaluate_fn(progress.round, progress.result.arrays)
+            if metrics is not None:
+                progress.result.evaluate_metrics_serverapp[progress.round] = metrics
+
+    def _save(self, progress: Progress) -> None:
+        if self._folder:
+            checkpoints.save(self._folder, progress, self._owner)
+
+    # --- Order ------------------------------------------------------------------------------------
+
+    def _seeded(self, server_round: int, phase: int, step: int) -> AbstractContextManager[None]:
+        return seeded(self._seed, 0, server_round, phase, step)
+
+    def _addressed(
+        self, messages: list[Message], nodes: dict[int, int], server_round: int, phase: int
+    ) -> list[Message]:
+        """Messages to the nodes that hold the partitions, with what clients need to repeat."""
+        order: dict[str, Any] = {
+            "seed": self._seed,
+            "round": server_round,
+            "phase": phase,
+            "run": self._run,
+        }
+        self._asked = {message.metadata.dst_node_id - 1: message for message in messages}
+        if len(self._asked) != len(messages):
+            raise ValueError("a strategy that sends a client several messages at once has no order")
+        sent = []
+        for partition, message in sorted(self._asked.items()):
+            about = message.metadata
+            content = RecordDict({**message.content, KEY: ConfigRecord({**order})})
+            node, kind, group = nodes[partition], about.message_type, about.group_id
+            sent.append(Message(content, node, kind, ttl=about.ttl, group_id=group))
+        return sent
+
+    def _ordered(self, server_round: int, replies: Iterable[Message]) -> list[Message]:
+        """Replies in the order of partitions, as from the nodes that the strategy sees."""
+        found = {self._partitions.of(reply.metadata.src_node_id): reply for reply in replies}
+        lost = [
+            f"{partition} ({reason(found[partition])})"
+            if partition in found
+            else f"{partition} (no answer in time)"
+            for partition in sorted(self._asked)
+            if partition not in found or found[partition].has_error()
+        ]
+        if lost:
+            say = f"round {server_round}: no result from partitions {', '.join(lost)}"
+            raise ClientLostError(say)
+        return [
+            Message(found[partition].content, reply_to=message)
+            for partition, message in sorted(self._asked.items())
+        ]
