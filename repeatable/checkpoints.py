@@ -149,6 +149,12 @@ def newest_round(folder: Path) -> int:
     return max(checkpoints(_place(folder)), default=-1)
 
 
+def round_s(folder: Path) -> float:
+    """What a round took in the mean of the last ones, in s; 0 where there are none."""
+    ends = sorted(path.stat().st_mtime for path in _place(folder).glob("checkpoint-*"))
+    return (ends[-1] - ends[0]) / (len(ends) - 1) if len(ends) > 1 else 0.0
+
+
 def _newest_whole(folder: Path) -> tuple[int, Arrays, dict[str, Any]] | None:
     damage: CheckpointError | None = None
     for step in reversed(checkpoints(_place(folder))):

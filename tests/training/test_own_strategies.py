@@ -173,7 +173,7 @@ class Hoarding(FedAvg):
         self.scale = np.float32(1.0)
         self.last: Any = None
         self.inner = FedAdam()
-        self.words: list[str] = []
+        self.words: set[str] = set()
 
 
 def test_kinds_come_back_as_they_were() -> None:
@@ -197,7 +197,7 @@ def test_what_cannot_be_kept_is_named_once_it_changes() -> None:
     strategy = Hoarding()
     kept = Kept(strategy)
     assert kept.state() == {}
-    strategy.words.append("new")
+    strategy.words.add("new")
     with pytest.raises(ValueError, match=r"Hoarding\.words has changed"):
         kept.state()
 

@@ -8,7 +8,8 @@ from flwr.serverapp.strategy import FedAdam
 from repeatable import Repeatable, client_app, digest
 
 FEATURES, CLASSES, EXAMPLES = 20, 5, 400
-client, server = client_app(), ServerApp()
+client = client_app()
+server = ServerApp()
 
 
 def data(partition):
