@@ -36,7 +36,9 @@ def _parser() -> argparse.ArgumentParser:
     kill = verbs.add_parser("kill", help="play an app undisturbed and under kills, and compare")
     kill.add_argument("app", type=Path, help="the app's folder, with its pyproject.toml")
     kill.add_argument("--clients", type=partial(_count, 1), required=True)
-    kill.add_argument("--kills", type=partial(_count, 0), default=3, help="0: plays it twice undisturbed")
+    kill.add_argument(
+        "--kills", type=partial(_count, 0), default=3, help="0: plays it twice undisturbed"
+    )
     kill.add_argument("--seed", type=int, default=0, help="of the schedule")
     kill.add_argument("--run-config", default="", help="as flwr run takes it, without state-dir")
     kill.add_argument("--deployment", action="store_true", help="SuperNodes, and no simulation")

@@ -51,6 +51,10 @@ class Progress:
     run: str = dataclasses.field(default_factory=lambda: uuid.uuid4().hex)
     strategy: Arrays = dataclasses.field(default_factory=dict)
 
+    def configuration(self) -> Json:
+        """Both configurations as JSON has them."""
+        return packed(RecordDict({_TRAIN: self.train_config, _EVALUATE: self.evaluate_config}))[1]
+
     def copy(self) -> Progress:
         """One that may change and leaves this one as it is; arrays and metrics are shared."""
         histories = (dict(getattr(self.result, name)) for name in _HISTORIES)

@@ -12,6 +12,7 @@ from repeatable.checkpoints import newest_arrays, newest_round, round_s
 from repeatable.digests import digest
 from repeatable.live import LiveError, LiveRun
 from repeatable.process_tracker import Deck, aim
+from repeatable.processes import Process
 
 SIMULATION = ("ServerApp (engine)", "SuperLink", "ClientApp")
 DEPLOYMENT = ("ServerApp", "SuperLink", "SuperNode", "ClientApp")
@@ -19,6 +20,7 @@ _FATAL = ("ServerApp (engine)", "ServerApp", "SuperLink")
 """Without these nothing goes on, and Flower says so late if at all."""
 
 _LOOK_S = 0.05
+_FRESH_S = 1.0
 _ASK_S = 3.0
 _STEADY_S = 180.0
 """A run without a further round for that long stands still."""
@@ -123,16 +125,18 @@ def _watched(
     run: LiveRun, folder: Path, left: list[Kill], deck: Deck | None, tell: Callable[[str], object]
 ) -> str:
     """Follows a run to its end, and kills where it is time; what it ended as."""
-    asked = further = time.monotonic()
-    at, due = newest_round(folder), 0.0
+    asked = further = looked = time.monotonic()
+    at, due, there = newest_round(folder), 0.0, run.roles()
     while True:
         now = time.monotonic()
         if (reached := newest_round(folder)) != at:
             at, further = reached, now
+        if left and now - looked > _FRESH_S:  # a look takes longer than a round may
+            there, looked = run.roles(), now
         if deck and left and at >= left[0].round:
             due = due or now + left[0].delay_s
-            if now >= due and (role := _strike(run, deck)):
-                tell(f"{role} killed after round {at}")
+            if now >= due and (role := _struck(there, deck)):
+                tell(f"{role} killed after round {newest_round(folder)}")
                 left.pop(0)
                 due = 0.0
                 if role in _FATAL:
@@ -146,8 +150,8 @@ def _watched(
         time.sleep(_LOOK_S)
 
 
-def _strike(run: LiveRun, deck: Deck) -> str:
-    """Kills a process with -9; its role, empty where none was there."""
-    picked = deck.pick(run.roles())
+def _struck(there: dict[str, list[Process]], deck: Deck) -> str:
+    """Kills a process with -9; its role, empty where none is there any more."""
+    picked = deck.pick(there)
     target = picked and aim(picked[1])
     return picked[0] if picked and target and target.kill() else ""

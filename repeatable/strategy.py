@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from typing import Any, cast
 
-from flwr.app import ArrayRecord, ConfigRecord, Message, MetricRecord, RecordDict
+from flwr.app import ArrayRecord, ConfigRecord, Message, MetricRecord
 from flwr.serverapp import Grid
 from flwr.serverapp.strategy import Result, Strategy
 
@@ -17,7 +17,7 @@ from repeatable.checkpoints import Progress
 from repeatable.digests import digest
 from repeatable.isolation import seeded
 from repeatable.kept import Kept
-from repeatable.partitions import KEY, ClientLostError, Partitions, View, reason
+from repeatable.partitions import ClientLostError, Partitions, View
 from storage.checkpoint_files import Json
 
 TRAIN, EVALUATE, SERVER = range(3)
@@ -55,13 +55,13 @@ class Repeatable(Strategy):
             clients: partitions, all of which are waited for; None takes the nodes' word.
             retries: how often a round is played again in which a client was lost.
         """
-        if seed < 0:
-            raise ValueError(f"seed={seed}: allowed is a whole number of at least 0")
+        for name, value in (("seed", seed), ("retries", retries)):
+            if value < 0:
+                raise ValueError(f"{name}={value}: allowed is a whole number of at least 0")
         self._strategy, self._seed, self._retries = strategy, seed, retries
         self._folder = checkpoints.state_folder(state)
         self._kept = Kept(strategy)
         self._partitions = Partitions(clients)
-        self._asked: dict[int, Message] = {}
         self._owner: dict[str, Json] = {}
         self._run = ""
 
@@ -72,10 +72,10 @@ class Repeatable(Strategy):
     ) -> Iterable[Message]:
         """As the strategy does, to the nodes that hold the partitions which it asks."""
         nodes = self._partitions.nodes(grid)
+        view = cast(Grid, View(grid, len(nodes)))
         with self._seeded(server_round, TRAIN, _CONFIGURE):
-            view = cast(Grid, View(grid, len(nodes)))
-            messages = list(self._strategy.configure_train(server_round, arrays, config, view))
-        return self._addressed(messages, nodes, server_round, TRAIN)
+            messages = self._strategy.configure_train(server_round, arrays, config, view)
+            return self._partitions.addressed(messages, nodes, self._order(server_round, TRAIN))
 
     def aggregate_train(
         self, server_round: int, replies: Iterable[Message]
@@ -85,7 +85,7 @@ class Repeatable(Strategy):
         Raises:
             ClientLostError: one that was asked gave no result.
         """
-        ordered = self._ordered(server_round, replies)
+        ordered = self._partitions.ordered(server_round, replies)
         with self._seeded(server_round, TRAIN, _AGGREGATE):
             return self._strategy.aggregate_train(server_round, ordered)
 
@@ -94,16 +94,16 @@ class Repeatable(Strategy):
     ) -> Iterable[Message]:
         """See ``configure_train``."""
         nodes = self._partitions.nodes(grid)
+        view = cast(Grid, View(grid, len(nodes)))
         with self._seeded(server_round, EVALUATE, _CONFIGURE):
-            view = cast(Grid, View(grid, len(nodes)))
-            messages = list(self._strategy.configure_evaluate(server_round, arrays, config, view))
-        return self._addressed(messages, nodes, server_round, EVALUATE)
+            messages = self._strategy.configure_evaluate(server_round, arrays, config, view)
+            return self._partitions.addressed(messages, nodes, self._order(server_round, EVALUATE))
 
     def aggregate_evaluate(
         self, server_round: int, replies: Iterable[Message]
     ) -> MetricRecord | None:
         """See ``aggregate_train``."""
-        ordered = self._ordered(server_round, replies)
+        ordered = self._partitions.ordered(server_round, replies)
         with self._seeded(server_round, EVALUATE, _AGGREGATE):
             return self._strategy.aggregate_evaluate(server_round, ordered)
 
@@ -126,7 +126,8 @@ class Repeatable(Strategy):
         """As Flower's, and goes on from the newest whole checkpoint where there is one.
 
         Raises:
-            OtherRunError: the folder holds a run of another seed, strategy or initial model.
+            OtherRunError: the folder holds a run of another seed, strategy, initial model or
+                configuration of clients.
             ClientLostError: a client gave no result, as often as a round may be played.
         """
         fresh = Progress(
@@ -134,6 +135,7 @@ class Repeatable(Strategy):
             train_config or ConfigRecord(),
             evaluate_config or ConfigRecord(),
         )
+        self.summary()
         progress = self._begun(fresh, evaluate_fn)
         while progress.round < num_rounds:
             _LOG.info("[ROUND %s/%s]", progress.round + 1, num_rounds)
@@ -147,6 +149,7 @@ class Repeatable(Strategy):
             "seed": self._seed,
             "strategy": type(self._strategy).__name__,
             "initial model": digest(fresh.result.arrays),
+            "configuration": fresh.configuration(),
         }
         found = checkpoints.newest(self._folder, self._owner) if self._folder else None
         progress = found or fresh
@@ -184,13 +187,10 @@ class Repeatable(Strategy):
         arrays, metrics = self.aggregate_train(number, replies)
         if arrays is not None:
             result.arrays = arrays
-        if metrics is not None:
-            result.train_metrics_clientapp[number] = metrics
+        _noted(result.train_metrics_clientapp, number, metrics)
         asked = self.configure_evaluate(number, result.arrays, progress.evaluate_config, grid)
         replies = grid.send_and_receive(asked, timeout=timeout)
-        metrics = self.aggregate_evaluate(number, replies)
-        if metrics is not None:
-            result.evaluate_metrics_clientapp[number] = metrics
+        _noted(result.evaluate_metrics_clientapp, number, self.aggregate_evaluate(number, replies))
         self._judge(progress, evaluate_fn)
         progress.strategy = self._kept.state()
         return progress
@@ -200,53 +200,22 @@ class Repeatable(Strategy):
         if evaluate_fn is not None:
             with self._seeded(progress.round, SERVER, 0):
                 metrics = evaluate_fn(progress.round, progress.result.arrays)
-            if metrics is not None:
-                progress.result.evaluate_metrics_serverapp[progress.round] = metrics
+            _noted(progress.result.evaluate_metrics_serverapp, progress.round, metrics)
 
     def _save(self, progress: Progress) -> None:
         if self._folder:
             checkpoints.save(self._folder, progress, self._owner)
 
-    # --- Order ------------------------------------------------------------------------------------
-
     def _seeded(self, server_round: int, phase: int, step: int) -> AbstractContextManager[None]:
         return seeded(self._seed, 0, server_round, phase, step)
 
-    def _addressed(
-        self, messages: list[Message], nodes: dict[int, int], server_round: int, phase: int
-    ) -> list[Message]:
-        """Messages to the nodes that hold the partitions, with what clients need to repeat."""
-        order: dict[str, Any] = {
-            "seed": self._seed,
-            "round": server_round,
-            "phase": phase,
-            "run": self._run,
-        }
-        self._asked = {message.metadata.dst_node_id - 1: message for message in messages}
-        if len(self._asked) != len(messages):
-            raise ValueError("a strategy that sends a client several messages at once has no order")
-        sent = []
-        for partition, message in sorted(self._asked.items()):
-            about = message.metadata
-            content = RecordDict({**message.content, KEY: ConfigRecord({**order})})
-            node, kind, group = nodes[partition], about.message_type, about.group_id
-            sent.append(Message(content, node, kind, ttl=about.ttl, group_id=group))
-        return sent
+    def _order(self, server_round: int, phase: int) -> dict[str, Any]:
+        """What clients need to know to repeat what they do."""
+        return {"seed": self._seed, "round": server_round, "phase": phase, "run": self._run}
 
-    def _ordered(self, server_round: int, replies: Iterable[Message]) -> list[Message]:
-        """Replies in the order of partitions, as from the nodes that the strategy sees."""
-        found = {self._partitions.of(reply.metadata.src_node_id): reply for reply in replies}
-        lost = [
-            f"{partition} ({reason(found[partition])})"
-            if partition in found
-            else f"{partition} (no answer in time)"
-            for partition in sorted(self._asked)
-            if partition not in found or found[partition].has_error()
-        ]
-        if lost:
-            say = f"round {server_round}: no result from partitions {', '.join(lost)}"
-            raise ClientLostError(say)
-        return [
-            Message(found[partition].content, reply_to=message)
-            for partition, message in sorted(self._asked.items())
-        ]
+
+def _noted(history: dict[int, MetricRecord], server_round: int, found: MetricRecord | None) -> None:
+    """Adds a round's metrics to those of earlier ones."""
+    if found is not None:
+        _LOG.info("\t%s", found)
+        history[server_round] = found

@@ -126,6 +126,8 @@ def test_another_run_is_not_taken_for_this_one(tmp_path: Path) -> None:
             play(other, 1)
     with pytest.raises(OtherRunError, match="with initial model"):
         play(wrapped(state=tmp_path), 1, initial=model(3))
+    with pytest.raises(OtherRunError, match="with configuration"):
+        play(wrapped(state=tmp_path), 1, train_config=config(lr=0.1))
 
 
 def test_clients_of_a_fresh_run_do_not_take_up_an_older_ones_state(tmp_path: Path) -> None:

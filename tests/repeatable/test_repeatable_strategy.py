@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flwr.app import ArrayRecord, ConfigRecord, Message, MetricRecord
+from flwr.app import ArrayRecord, ConfigRecord, Error, Message, MetricRecord
 from flwr.clientapp import ClientApp
+from flwr.common.constant import ErrorCode
 from flwr.serverapp import Grid
 from flwr.serverapp.strategy import (
     DifferentialPrivacyServerSideFixedClipping,
@@ -21,9 +22,20 @@ from flwr.serverapp.strategy import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from repeatable_helpers import answering, config, digest_of, fedadam, model, play, wrapped
+from repeatable_helpers import (
+    APP,
+    CLIENTS,
+    answering,
+    config,
+    digest_of,
+    fedadam,
+    model,
+    play,
+    wrapped,
+)
 
-from repeatable import ClientLostError, generator, seeded
+from repeatable import ClientLostError, LocalGrid, digest, generator, seeded
+from repeatable.partitions import Partitions
 
 
 def noisy_fedavg() -> Strategy:
@@ -156,6 +168,32 @@ def test_a_round_in_which_a_client_was_lost_is_played_again_to_the_same_bits() -
     assert len(failed) == 2
 
 
+def test_a_node_that_has_died_and_is_still_listed_is_left_out() -> None:
+    class Haunted(LocalGrid):
+        def get_node_ids(self) -> list[int]:
+            return [7, *super().get_node_ids()]
+
+        def _answer(self, message: Message) -> Message:
+            if message.metadata.dst_node_id == 7:
+                return Message(Error(ErrorCode.NODE_UNAVAILABLE), reply_to=message)
+            return super()._answer(message)
+
+    with Haunted(APP.client, CLIENTS, {"seed": 0}) as grid:
+        found = wrapped().start(grid, model(), 2)
+    assert digest(found.arrays) == digest_of(wrapped(), rounds=2)
+
+
+def test_the_newest_node_of_a_partition_is_asked() -> None:
+    with LocalGrid(APP.client, 2, seed=0) as grid:
+        partitions = Partitions(None)
+        old = partitions.nodes(grid)
+        fresh = {7: grid._contexts[old[1]]}
+        grid._contexts = grid._contexts | fresh
+        assert partitions.nodes(grid) == {0: old[0], 1: 7}
+        del grid._contexts[7]
+        assert partitions.nodes(grid) == old
+
+
 def test_an_app_without_the_kit_is_refused_in_a_sentence() -> None:
     with pytest.raises(ClientLostError, match="as one whose ClientApp is made by repeatable"):
         play(wrapped(), app=ClientApp())
@@ -163,7 +201,11 @@ def test_an_app_without_the_kit_is_refused_in_a_sentence() -> None:
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [({"seed": -1}, "seed=-1: allowed is"), ({"state": "here"}, "state-dir=here: allowed is an")],
+    [
+        ({"seed": -1}, "seed=-1: allowed is"),
+        ({"retries": -1}, "retries=-1: allowed is"),
+        ({"state": "here"}, "state-dir=here: allowed is an"),
+    ],
 )
 def test_mistakes_in_the_kits_options_cost_a_sentence(options: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
