@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +22,7 @@ _FATAL = ("ServerApp (engine)", "ServerApp", "SuperLink")
 
 _LOOK_S = 0.05
 _FRESH_S = 1.0
-_ASK_S = 3.0
+_ASK_S = 2.0
 _STEADY_S = 180.0
 """A run without a further round for that long stands still."""
 
@@ -107,9 +108,9 @@ def play(
     """
     left = list(kills)
     while True:
-        with task.live(folder) as run:
+        with ThreadPoolExecutor(1) as asker, task.live(folder) as run:
             before = len(left)
-            ended = _watched(run, folder, left, deck, tell)
+            ended = _watched(run, asker, folder, left, deck, tell)
             if ended == "finished:completed":
                 break
             if len(left) == before:
@@ -122,10 +123,16 @@ def play(
 
 
 def _watched(
-    run: LiveRun, folder: Path, left: list[Kill], deck: Deck | None, tell: Callable[[str], object]
+    run: LiveRun,
+    asker: Executor,
+    folder: Path,
+    left: list[Kill],
+    deck: Deck | None,
+    tell: Callable[[str], object],
 ) -> str:
     """Follows a run to its end, and kills where it is time; what it ended as."""
-    asked = further = looked = time.monotonic()
+    further = looked = time.monotonic()
+    answer = asker.submit(_state, run)
     at, due, there = newest_round(folder), 0.0, run.roles()
     while True:
         now = time.monotonic()
@@ -141,13 +148,19 @@ def _watched(
                 due = 0.0
                 if role in _FATAL:
                     return f"killed {role}"
-        if now - asked > _ASK_S:
-            asked, state = now, run.state()
-            if state.startswith("finished"):
+        if answer.done():
+            if (state := answer.result()).startswith("finished"):
                 return state
+            answer = asker.submit(_state, run)
         if now - further > _STEADY_S:
             return f"standing still after round {at}"
         time.sleep(_LOOK_S)
+
+
+def _state(run: LiveRun) -> str:
+    """A run's state after a while: Flower takes long to say it."""
+    time.sleep(_ASK_S)
+    return run.state()
 
 
 def _struck(there: dict[str, list[Process]], deck: Deck) -> str:
