@@ -24,6 +24,8 @@ TRAIN, EVALUATE, SERVER = range(3)
 """Phases of a round, in their order."""
 _CONFIGURE, _AGGREGATE = range(2)
 
+_LIMIT = 2**63
+"""Flower's messages carry no larger numbers."""
 _LOG = logging.getLogger("flwr")
 
 Evaluate = Callable[[int, ArrayRecord], MetricRecord | None]
@@ -49,15 +51,16 @@ class Repeatable(Strategy):
 
         Args:
             strategy: a fresh one, which is the wrapper's from here on.
-            seed: at least 0.
+            seed: from 0 to 2^63 - 1.
             state: an absolute folder that gets a checkpoint after each round, and from which a run
                 goes on that was interrupted; None or empty: neither.
             clients: partitions, all of which are waited for; None takes the nodes' word.
-            retries: how often a round is played again in which a client was lost.
+            retries: how often a round is played again in which a client was lost; for the same
+                bits clients that keep a state need a ``state-dir``.
         """
         for name, value in (("seed", seed), ("retries", retries)):
-            if value < 0:
-                raise ValueError(f"{name}={value}: allowed is a whole number of at least 0")
+            if not 0 <= value < _LIMIT:
+                raise ValueError(f"{name}={value}: allowed is a whole number from 0 to 2^63 - 1")
         self._strategy, self._seed, self._retries = strategy, seed, retries
         self._folder = checkpoints.state_folder(state)
         self._kept = Kept(strategy)
