@@ -6,7 +6,7 @@ READY := $(VENV)/.ready
 SITE := $(VENV)/.site
 PYTHON ?= $(firstword $(shell command -v python3.11 python3.12 python3.13 python3))
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
-PACKAGES := env agent storage lockstep conf training server_app client_app experiments risfleet
+PACKAGES := env agent storage repeatable lockstep conf training server_app client_app experiments risfleet
 WORKERS ?= auto
 PARALLEL := -n $(WORKERS) --maxprocesses 8 --dist loadfile
 CHAOS_KILLS ?= 50

@@ -12,7 +12,10 @@ from pathlib import Path
 from env import plugins
 from env.config import EnvConfig
 
-PACKAGES = ("agent", "client_app", "conf", "env", "lockstep", "server_app", "storage", "training")
+PACKAGES = (
+    *("agent", "client_app", "conf", "env", "lockstep"),
+    *("repeatable", "server_app", "storage", "training"),
+)
 
 
 def fingerprint(config: EnvConfig | None = None) -> str:

@@ -13,7 +13,10 @@ from experiments.console.mishaps import in_words
 from experiments.console.steady import steady_output
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("agent", "client_app", "conf", "env", "lockstep", "server_app", "storage", "training")
+PACKAGES = (
+    *("agent", "client_app", "conf", "env", "lockstep"),
+    *("repeatable", "server_app", "storage", "training"),
+)
 
 USAGE = """\
 usage: risfleet COMMAND ...

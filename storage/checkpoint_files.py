@@ -45,10 +45,23 @@ def digest(weights: NDArray[np.floating]) -> str:
     return hashlib.sha256(np.ascontiguousarray(weights, "<f4").tobytes()).hexdigest()
 
 
+def arrays_digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:
+    """SHA-256 over every array's name, type, shape and bytes, whatever their order.
+
+    Returns:
+        64 hexadecimal digits.
+    """
+    return _sealed(hashlib.sha256(), arrays)
+
+
 def save_checkpoint(
-    folder: Path, step: int, arrays: Mapping[str, NDArray[np.generic]], meta: Mapping[str, Json]
+    folder: Path,
+    step: int,
+    arrays: Mapping[str, NDArray[np.generic]],
+    meta: Mapping[str, Json],
+    kept: int = KEPT,
 ) -> Path:
-    """Writes a checkpoint atomically and drops those before the one that precedes it.
+    """Writes a checkpoint atomically and drops those before the last few.
 
     Checkpoints of later steps, left by a run that went back, stay.
 
@@ -57,6 +70,7 @@ def save_checkpoint(
         step: at least 0; an existing checkpoint of that step is replaced.
         arrays: by name.
         meta: anything JSON can hold.
+        kept: how many stay, of this step and earlier ones.
 
     Returns:
         The file.
@@ -64,13 +78,13 @@ def save_checkpoint(
     Raises:
         OSError: it cannot be written; those that were there stay. The message names the file.
     """
-    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     text = json.dumps(dict(meta), sort_keys=True, allow_nan=False)
     path = _path(folder, step)
     content = save(contiguous, {"meta": text, "sha256": _seal(step, contiguous, text)})
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(path, content)
-    for old in [s for s in checkpoints(folder) if s <= step][:-KEPT]:
+    for old in [s for s in checkpoints(folder) if s <= step][:-kept]:
         _path(folder, old).unlink(missing_ok=True)
     return path
 
@@ -180,7 +194,10 @@ def _path(folder: Path, step: int) -> Path:
 
 def _seal(step: int, arrays: Mapping[str, NDArray[np.generic]], meta: str) -> str:
     """SHA-256 over step, metadata, and every array's name, type, shape and bytes."""
-    seal = hashlib.sha256(f"{step}\n{meta}\n".encode())
+    return _sealed(hashlib.sha256(f"{step}\n{meta}\n".encode()), arrays)
+
+
+def _sealed(seal: hashlib._Hash, arrays: Mapping[str, NDArray[np.generic]]) -> str:
     for name in sorted(arrays):
         array = arrays[name]
         seal.update(f"{name} {array.dtype.str} {array.shape}\n".encode())

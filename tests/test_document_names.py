@@ -18,8 +18,8 @@ from conf.commented import commented_yaml
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 OURS = {
-    "env", "agent", "storage", "lockstep", "conf", "training", "server_app", "client_app",
-    "experiments", "risfleet", "benchmarks", "tools", "tests",
+    "env", "agent", "storage", "repeatable", "lockstep", "conf", "training", "server_app",
+    "client_app", "experiments", "risfleet", "benchmarks", "tools", "tests",
 }  # fmt: skip
 # Files that a reader is asked to write, or that commands make.
 THEIRS = {

@@ -10,8 +10,8 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 OURS = (
-    "env", "storage", "agent", "lockstep", "conf", "training", "client_app", "server_app",
-    "experiments", "risfleet",
+    "env", "storage", "repeatable", "agent", "lockstep", "conf", "training", "client_app",
+    "server_app", "experiments", "risfleet",
 )  # fmt: skip
 A_RUN = {"training", "lockstep", "env", "agent", "conf", "storage"}
 
@@ -22,10 +22,12 @@ RULES = {
     "env.apis": {"env", "numpy", "gymnasium", "pettingzoo"},
     "env": {"env", "numpy", "annotated_types"},
     "storage": {"storage", "numpy", "safetensors"},
+    "repeatable.processes": {"psutil"},
+    "repeatable": {"repeatable", "storage", "flwr", "numpy", "safetensors"},
     "agent": {"agent", "storage", "numpy", "torch", "threadpoolctl", "annotated_types"},
     "lockstep": {"lockstep", "env", "storage", "numpy"},
     "conf": {"conf", "agent", "env", "hydra", "omegaconf", "yaml", "annotated_types"},
-    "training.aggregation": {*A_RUN, "numpy", "flwr"},
+    "training.aggregation": {*A_RUN, "repeatable", "numpy", "flwr"},
     "training.recording.figures": {*A_RUN, "numpy", "matplotlib"},
     "training.recording.trackers": {*A_RUN, "torch.utils.tensorboard", "wandb", "mlflow"},
     "training.recording": {*A_RUN, "numpy"},

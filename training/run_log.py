@@ -7,7 +7,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-OURS = ("agent", "client_app", "conf", "env", "lockstep", "server_app", "storage", "training")
+OURS = (
+    *("agent", "client_app", "conf", "env", "lockstep"),
+    *("repeatable", "server_app", "storage", "training"),
+)
 """The loggers of our packages."""
 
 

@@ -14,7 +14,7 @@ from types import TracebackType
 _ROOT = Path(__file__).parents[2]
 _PACKAGES = (
     *("agent", "client_app", "conf", "env", "experiments"),
-    *("lockstep", "risfleet", "server_app", "storage", "training"),
+    *("lockstep", "repeatable", "risfleet", "server_app", "storage", "training"),
 )
 _ADVICE = {
     errno.ENOSPC: "make room there",

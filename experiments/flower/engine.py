@@ -10,9 +10,9 @@ from pathlib import Path
 
 from experiments.flower.control import RunState, Status
 from experiments.flower.environment import FlowerError
-from experiments.flower.processes import Process, command, identify, members
 from experiments.flower.session import Session
 from experiments.flower.superlink import SuperLink
+from repeatable.processes import Process, command, identify, members
 from training.engine_limits import max_concurrent_clients
 
 _SIMULATION = "flwr-simulation"

@@ -10,7 +10,7 @@ import sysconfig
 from pathlib import Path
 
 from experiments.flower import variables
-from experiments.flower.processes import MARKER
+from repeatable.processes import MARKER
 
 HOST = "127.0.0.1"
 CONNECTION = "risfleet"

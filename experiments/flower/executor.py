@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from experiments.flower.processes import Process, command, table
+from repeatable.processes import Process, command, table
 
 NAME = "flower-superexec"
 

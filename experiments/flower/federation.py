@@ -12,9 +12,9 @@ from experiments.flower.environment import HOST, FlowerError, flower_command, fr
 from experiments.flower.executor import NAME as EXECUTOR
 from experiments.flower.executor import Executor
 from experiments.flower.keys import FleetKeys, NodeKeys, add_nodes, make_keys
-from experiments.flower.processes import Process, command, members, terminate
 from experiments.flower.session import Session
 from experiments.flower.superlink import SuperLink
+from repeatable.processes import Process, command, members, terminate
 
 _SERVER_APP = "flwr-serverapp"
 _MOST_RESTARTS = 5

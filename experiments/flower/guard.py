@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from experiments.flower import variables
-from experiments.flower.processes import MARKER, Process, table
+from repeatable.processes import MARKER, Process, table
 
 _MOST_STARTS = 10
 """A watchdog that dies as often as that cannot live here: the session goes on without."""

@@ -21,8 +21,8 @@ from experiments.flower.environment import (
 )
 from experiments.flower.executor import Executor
 from experiments.flower.manifest import Components, write_connection
-from experiments.flower.processes import Process, members
 from experiments.flower.session import Session
+from repeatable.processes import Process, members
 
 if TYPE_CHECKING:
     import subprocess

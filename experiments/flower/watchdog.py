@@ -11,7 +11,7 @@ import signal
 import sys
 from pathlib import Path
 
-from experiments.flower.processes import Process, terminate
+from repeatable.processes import Process, terminate
 
 
 def main() -> None:

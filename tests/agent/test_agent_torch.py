@@ -8,8 +8,8 @@ import torch
 
 ROOT = Path(__file__).parent.parent.parent
 PACKAGES = (
-    "env", "storage", "agent", "lockstep", "conf", "training", "client_app", "server_app",
-    "experiments",
+    "env", "storage", "repeatable", "agent", "lockstep", "conf", "training", "client_app",
+    "server_app", "experiments",
 )  # fmt: skip
 TRIED = ("2.13.0",)
 """Versions of torch with which all tests passed."""

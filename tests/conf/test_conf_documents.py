@@ -15,6 +15,7 @@ PACKAGES = (
     "env",
     "agent",
     "storage",
+    "repeatable",
     "lockstep",
     "conf",
     "training",

@@ -15,8 +15,8 @@ import pytest
 
 from experiments.flower import RunState, SimulationSuperLink, Status, control, guard, superlink
 from experiments.flower.guard import Guard
-from experiments.flower.processes import MARKER, identify
 from experiments.flower.session import Session
+from repeatable.processes import MARKER, identify
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 

@@ -15,8 +15,8 @@ from experiments.cli import main
 from experiments.flower.control import is_healthy
 from experiments.flower.environment import HOST, flower_command, free_port
 from experiments.flower.manifest import write_connection
-from experiments.flower.processes import MARKER, Process, identify, members
 from experiments.flower.session import Session
+from repeatable.processes import MARKER, Process, identify, members
 
 PATIENCE_S = 300.0
 

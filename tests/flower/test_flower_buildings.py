@@ -22,7 +22,7 @@ from flower_helpers import (
 
 from experiments.cli import main
 from experiments.flower.environment import CONNECTION
-from experiments.flower.processes import command, members
+from repeatable.processes import command, members
 from storage.checkpoint_layout import node_folder, room_folder
 from training.run_folder import RunFolder
 

@@ -12,8 +12,8 @@ import pytest
 
 from experiments.flower.environment import HOST, flower_command, free_port
 from experiments.flower.keys import FleetKeys, NodeKeys, make_keys
-from experiments.flower.processes import members
 from experiments.flower.session import Session
+from repeatable.processes import members
 
 pytestmark = [pytest.mark.slow, pytest.mark.flower]
 PATIENCE_S = 300.0

@@ -26,7 +26,7 @@ from flower_helpers import (
 
 from experiments.cli import main
 from experiments.flower.environment import CONNECTION
-from experiments.flower.processes import command, members, terminate
+from repeatable.processes import command, members, terminate
 from storage.checkpoint_files import checkpoints
 from storage.checkpoint_layout import server_folder
 

@@ -33,8 +33,8 @@ from safetensors.numpy import load_file
 from experiments.cli import main
 from experiments.flower import Components, superlink
 from experiments.flower.environment import child_environment, free_port
-from experiments.flower.processes import command, members, terminate
 from experiments.flower.session import Session
+from repeatable.processes import command, members, terminate
 from storage.checkpoint_files import checkpoints, digest
 from storage.checkpoint_layout import server_folder
 

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from experiments.cli import main
-from experiments.flower.processes import Process
+from repeatable.process_tracker import MARK, Deck, ProcessTracker, aim, role_of
+from repeatable.processes import Process
 from storage.checkpoint_files import save_checkpoint
 from storage.checkpoint_layout import round_folder, server_folder
 from tools.chaos.kill_points import (
@@ -29,8 +30,7 @@ from tools.chaos.kill_points import (
     draw,
     newest,
 )
-from tools.chaos.process_tracker import MARK, Deck, ProcessTracker, aim, role_of
-from tools.chaos.tasks import LOCAL, SIMULATION
+from tools.chaos.tasks import LOCAL, ROLES, SIMULATION
 from tools.chaos.verdict import (
     damaged,
     differences,
@@ -63,7 +63,7 @@ COMMANDS = {
 
 @pytest.mark.parametrize(("role", "lines"), COMMANDS.items())
 def test_a_process_is_known_by_its_command(role: str, lines: list[str]) -> None:
-    assert {role_of(line) for line in lines} == {role}
+    assert {role_of(line, ROLES) for line in lines} == {role}
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")

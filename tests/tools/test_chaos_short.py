@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from repeatable.process_tracker import Deck
 from tools.chaos import report
 from tools.chaos.__main__ import _chosen, play_reference, shares
 from tools.chaos.kill_points import draw
-from tools.chaos.process_tracker import Deck
 from tools.chaos.scenario import KillScenario, Row
 from tools.chaos.tasks import ALL, DEPLOYMENT, LOCAL, SIMULATION, Runtime
 

@@ -14,9 +14,9 @@ from flwr.serverapp.strategy import FedAdam, FedAvg, FedTrimmedAvg, Strategy
 
 from conf import ConfigError, StrategyConfig
 from experiments.cli import main
+from repeatable.kept import Kept
 from training.aggregation import own
 from training.aggregation.aggregator import Aggregator
-from training.aggregation.kept import Kept
 from training.aggregation.strategies import build_aggregator
 from training.preflight import checked_training
 from training.run_folder import RunFolder
@@ -173,7 +173,7 @@ class Hoarding(FedAvg):
         self.scale = np.float32(1.0)
         self.last: Any = None
         self.inner = FedAdam()
-        self.words: list[str] = []
+        self.words: set[str] = set()
 
 
 def test_kinds_come_back_as_they_were() -> None:
@@ -197,7 +197,7 @@ def test_what_cannot_be_kept_is_named_once_it_changes() -> None:
     strategy = Hoarding()
     kept = Kept(strategy)
     assert kept.state() == {}
-    strategy.words.append("new")
+    strategy.words.add("new")
     with pytest.raises(ValueError, match=r"Hoarding\.words has changed"):
         kept.state()
 

@@ -9,8 +9,8 @@ from training.run_folder import RunFolder
 
 ROOT = Path(__file__).parent.parent.parent
 PACKAGES = (
-    "env", "storage", "agent", "lockstep", "conf", "training", "client_app", "server_app",
-    "experiments",
+    "env", "storage", "repeatable", "agent", "lockstep", "conf", "training", "client_app",
+    "server_app", "experiments",
 )  # fmt: skip
 OWNER = ROOT / "training" / "run_folder.py"
 FILES = (

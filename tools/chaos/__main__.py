@@ -13,10 +13,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from repeatable.process_tracker import Deck
 from tools.chaos import links, outages, report
 from tools.chaos.attempt import Attempt
 from tools.chaos.hosts import obstacle
-from tools.chaos.process_tracker import Deck
 from tools.chaos.scenario import KillScenario, Row
 from tools.chaos.tasks import ALL, LOCAL, Runtime
 

@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from experiments.flower.processes import Process, command
+from repeatable.process_tracker import LAUNCHER, MARK, Deck, ProcessTracker, aim
+from repeatable.processes import Process, command
 from tools.chaos.kill_points import WRITING, KillPoint, Watched
-from tools.chaos.process_tracker import LAUNCHER, MARK, WATCHDOG, Deck, ProcessTracker, aim
-from tools.chaos.tasks import ROBOTS, Runtime
+from tools.chaos.tasks import ROBOTS, ROLES, WATCHDOG, Runtime
 
 ROOT = Path(__file__).parents[2]
 HUNG = -1000
@@ -100,7 +100,7 @@ class Attempt:
                 env=os.environ | extra,
                 start_new_session=True,
             )
-        self._crowd = ProcessTracker(self._process.pid, mark)
+        self._crowd = ProcessTracker(self._process.pid, mark, ROLES)
         self._watched = Watched(self._folder, ROBOTS, since)
         return self
 

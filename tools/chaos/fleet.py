@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.flower.environment import flower_command
-from experiments.flower.processes import command
 from experiments.flower.variables import chosen
+from repeatable.process_tracker import MARK, ProcessTracker
+from repeatable.processes import command
 from tools.chaos.attempt import ROOT
 from tools.chaos.hosts import ADDRESSES, Side, TwoHosts
-from tools.chaos.process_tracker import MARK, ProcessTracker
 
 HUB: Side = 0
 FAR: Side = 1

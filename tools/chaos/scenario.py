@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from repeatable.process_tracker import LAUNCHER, Deck
 from storage.checkpoint_files import CheckpointError
 from tools.chaos.attempt import HUNG, Attempt, AttemptOutcome, Hit
 from tools.chaos.kill_points import KillPoint, draw, newest
-from tools.chaos.process_tracker import LAUNCHER, Deck
 from tools.chaos.tasks import ROBOTS, Runtime
 from tools.chaos.verdict import differences, has_ended, is_clear, resumed_window, unfinished
 from training.checkpoint import latest

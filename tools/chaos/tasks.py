@@ -7,6 +7,11 @@ from pathlib import Path
 
 from conf.schema import FederationConfig
 from experiments.runtimes.runner import RUNTIMES
+from repeatable import process_tracker
+
+WATCHDOG = "watchdog"
+ROLES = {**process_tracker.ROLES, WATCHDOG: r"experiments\.flower\.watchdog"}
+"""Who may be killed, by command line."""
 
 ROBOTS = 3
 TICKS_PER_WINDOW = 25

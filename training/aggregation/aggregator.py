@@ -25,14 +25,9 @@ from flwr.app import ArrayRecord
 from flwr.serverapp.strategy import FedAvg, Strategy
 
 from agent.networks.limits import WEIGHT_LIMIT, magnitude
-from training.aggregation.flower_round import (
-    WeightRows,
-    client_config,
-    configure,
-    one_round,
-    within_flower,
-)
-from training.aggregation.kept import Kept
+from repeatable.isolation import within_flower
+from repeatable.kept import Kept
+from training.aggregation.flower_round import WeightRows, client_config, configure, one_round
 
 ONLINE, TARGET = slice(0, 1), slice(1, 2)
 """The rows of a robot's weights, shape (2, P)."""

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-import random
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -14,7 +10,6 @@ import numpy.typing as npt
 from flwr.app import Array, ArrayRecord, ConfigRecord, Message, MetricRecord, RecordDict
 from flwr.serverapp import Grid
 from flwr.serverapp.strategy import Strategy
-from flwr.supercore.task_identity import TaskIdentity
 
 WeightRows = npt.NDArray[np.float32]
 
@@ -88,44 +83,3 @@ def client_config(messages: Sequence[Message]) -> dict[str, float]:
         for key, value in config.items()
         if key != "server-round" and isinstance(value, int | float)
     }
-
-
-# --- Flower's global state ------------------------------------------------------------------------
-
-
-@contextmanager
-def within_flower() -> Iterator[None]:
-    """Lets Flower's code run and leaves nothing behind in the process.
-
-    FedAvg draws nodes with the global ``random``, which is put back. Messages need the identity of
-    a Flower task, which is made up where the process has none (``runtime=local``) and left alone
-    where it has. Only this thread is silenced, so Flower's own threads may go on logging.
-    """
-    randomness = random.getstate()
-    unset = [name for name in _IDENTITY if getattr(TaskIdentity, name) is None]
-    silence = _Silence()
-    logger = logging.getLogger("flwr")
-    logger.addFilter(silence)
-    for name in unset:
-        setattr(TaskIdentity, name, 1)
-    try:
-        yield
-    finally:
-        for name in unset:
-            setattr(TaskIdentity, name, None)
-        logger.removeFilter(silence)
-        random.setstate(randomness)
-
-
-_IDENTITY = ("_task_id", "_run_id", "_node_id")
-
-
-class _Silence(logging.Filter):
-    """Drops what the thread that made it logs below an error."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._thread = threading.get_ident()
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        return record.levelno >= logging.ERROR or threading.get_ident() != self._thread

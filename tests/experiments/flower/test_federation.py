@@ -26,8 +26,8 @@ from experiments.flower import (
     federation,
     superlink,
 )
-from experiments.flower.processes import MARKER, members
 from experiments.runtimes import on_flower
+from repeatable.processes import MARKER, members
 from storage.checkpoint_files import CheckpointError
 from training.run_folder import RunFolder
 

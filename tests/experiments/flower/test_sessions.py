@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.flower.processes import MARKER, Process, identify, members
 from experiments.flower.session import Session
+from repeatable.processes import MARKER, Process, identify, members
 
 PATIENCE_S = 120.0
 

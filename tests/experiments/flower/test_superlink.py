@@ -34,8 +34,8 @@ from experiments.flower import (
 )
 from experiments.flower.control import ControlError
 from experiments.flower.manifest import write_manifest, write_run_config
-from experiments.flower.processes import MARKER, Process, members, terminate
 from experiments.flower.session import Session
+from repeatable.processes import MARKER, Process, members, terminate
 from training.engine_limits import max_concurrent_clients
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")

@@ -1,8 +1,9 @@
-"""What a Flower strategy keeps between windows, as arrays by name, for checkpoints."""
+"""What a Flower strategy keeps between rounds, as arrays by name, for checkpoints."""
 
 from __future__ import annotations
 
 import copy
+import json
 from contextlib import suppress
 from typing import Any
 
@@ -21,7 +22,7 @@ _SETTINGS = frozenset(vars(FedAvg()))
 
 KINDS = (
     "arrays, lists of arrays, dicts of arrays by texts or whole numbers, ArrayRecords, numbers,"
-    " NumPy's generators, None, and strategies"
+    " NumPy's generators, None, texts, lists and dicts as JSON has them, and strategies"
 )
 
 
@@ -98,7 +99,7 @@ def _pack(value: Any) -> tuple[str, Items] | None:
         return "none", {"0": np.zeros(0)}
     if isinstance(value, ArrayRecord):
         return "record", {key: array.numpy() for key, array in value.items()}
-    if isinstance(value, np.ndarray) and value.ndim:  # checkpoints know no others
+    if isinstance(value, np.ndarray):
         return "array", {"0": value.copy()}
     if isinstance(value, np.number | np.bool_):
         return "scalar", {"0": np.array([value])}
@@ -115,7 +116,18 @@ def _pack(value: Any) -> tuple[str, Items] | None:
             if all(type(key) is of for key in value):
                 count = {"": np.array([len(value)])}
                 return kind, {**count, **{f"={key}": it.copy() for key, it in value.items()}}
+    if isinstance(value, str | list | dict) and (text := _plain(value)):
+        return "json", {"0": np.frombuffer(text.encode(), np.uint8)}
     return None
+
+
+def _plain(value: Any) -> str | None:
+    """A value as JSON, None where that would not give it back as it is."""
+    try:
+        text = json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError):
+        return None
+    return text if json.loads(text) == value else None
 
 
 def _equal(one: tuple[str, Items], other: tuple[str, Items]) -> bool:
@@ -157,6 +169,8 @@ def _unpack(attribute: str, state: State) -> Any:
         return generator
     if kind == "none":
         return None
+    if kind == "json":
+        return json.loads(items["0"].tobytes())
     if kind == "number":
         return items["0"][0].item()
     return items["0"][0] if kind == "scalar" else items["0"]

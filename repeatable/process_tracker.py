@@ -10,13 +10,12 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from experiments.flower.processes import Process, command, environment, identify, members, table
+from repeatable.processes import Process, command, environment, identify, members, table
 
 MARK = "RISFLEET_CHAOS"
 """An environment variable that every process of a run under test inherits from the first."""
 
 LAUNCHER = "launcher"
-WATCHDOG = "watchdog"
 OTHER = "other"
 ROLES = {
     "ClientApp": r"^ray::ClientAppActor|/flwr-clientapp",
@@ -26,13 +25,12 @@ ROLES = {
     "SuperExec": r"/flower-superexec",
     "SuperLink": r"/flower-superlink",
     "flwr command": r"/flwr ",
-    WATCHDOG: r"experiments\.flower\.watchdog",
     "raylet": r"/raylet/raylet",
     "Ray GCS": r"/gcs_server",
     "Ray agent": r"^ray::|/dashboard/agent\.py|/runtime_env/agent/main\.py",
     "Ray service": r"/site-packages/ray/",
 }
-"""What a process is, by the first pattern that its command line holds."""
+"""What a process of Flower's or Ray's is, by the first pattern that its command line holds."""
 
 _POLL_S = 0.05
 _SETTLE_S = 1.0
@@ -40,9 +38,9 @@ _SETTLE_S = 1.0
 it has died, a parent: only when none was seen for this long, all are gone."""
 
 
-def role_of(line: str) -> str:
+def role_of(line: str, roles: Mapping[str, str] = ROLES) -> str:
     """The role of a process, the launcher aside, by its command line."""
-    return next((role for role, pattern in ROLES.items() if re.search(pattern, line)), OTHER)
+    return next((role for role, pattern in roles.items() if re.search(pattern, line)), OTHER)
 
 
 class ProcessTracker:
@@ -52,9 +50,9 @@ class ProcessTracker:
     these. Ray's workers overwrite the memory that holds their environment, so it takes both.
     """
 
-    def __init__(self, launcher: int, mark: str) -> None:
+    def __init__(self, launcher: int, mark: str, roles: Mapping[str, str] = ROLES) -> None:
         """Watch a process that was just started with ``MARK=mark`` in its environment."""
-        self._mark = mark
+        self._mark, self._roles = mark, roles
         self._launcher = identify(launcher)
         self._known: set[Process] = {self._launcher} if self._launcher is not None else set()
 
@@ -71,7 +69,7 @@ class ProcessTracker:
         for row in sorted(self.alive(), key=lambda row: row.pid):
             line = command(row)
             if line:  # none: it is about to go
-                role = LAUNCHER if row == self._launcher else role_of(line)
+                role = LAUNCHER if row == self._launcher else role_of(line, self._roles)
                 found.setdefault(role, []).append(row)
         return found
 
