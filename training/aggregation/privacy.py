@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from flwr.serverapp.strategy import (
@@ -66,12 +67,12 @@ def averaging(strategy: Strategy, count: int) -> Strategy:
 @contextmanager
 def drawing_from(generator: np.random.Generator) -> Iterator[None]:
     """Lets NumPy's global functions, which Flower calls, draw from a generator for a while."""
-    before = np.random.get_bit_generator()
-    state = np.random.get_state(legacy=False)  # noqa: NPY002 - Flower's, put back below
-    np.random.set_bit_generator(generator.bit_generator)
+    shared: Any = np.random  # whose stubs leave out its bit generator
+    before, state = shared.get_bit_generator(), shared.get_state(legacy=False)
+    shared.set_bit_generator(generator.bit_generator)
     try:
         with np.errstate(divide="ignore"):  # the clip over a norm of zero
             yield
     finally:
-        np.random.set_bit_generator(before)
-        np.random.set_state(state)  # noqa: NPY002
+        shared.set_bit_generator(before)
+        shared.set_state(state)

@@ -6,6 +6,7 @@ A strategy is one entry of ``STRATEGIES``, one of ``conf.strategy_checks`` and o
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 from flwr.serverapp.strategy import FedAdam, FedAvg, FedAvgM, FedMedian, FedProx, Krum, Strategy
@@ -51,7 +52,7 @@ def build_aggregator(
         scope=Scope.ONLINE if online else Scope.PAIR,
         who=who,
         partial=partial,
-        noise=lambda window: stream(seed, Stream.PRIVACY, window) if noised else None,
+        noise=functools.partial(stream, seed, Stream.PRIVACY) if noised else None,
     )
 
 
