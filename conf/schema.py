@@ -25,7 +25,7 @@ class PrivacyConfig:
     ] = "none"
     clip: Annotated[
         float, Interval(gt=0, le=1e6), "C: largest norm of a window's step; adaptive: its first"
-    ] = 1.0
+    ] = 0.1
     noise: Annotated[
         float, Interval(ge=0, le=1e6), "z: deviation z C, of the sum of the steps or of each"
     ] = 0.0
