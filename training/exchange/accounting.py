@@ -6,7 +6,8 @@ robot can change, are as private as one whose noise is sqrt(T) times smaller (Do
 
     delta(epsilon) = Phi(mu/2 - epsilon/mu) - exp(epsilon) Phi(-mu/2 - epsilon/mu)
 
-(Balle and Wang, 2018, arXiv:1805.06530, Theorem 8), which is solved for epsilon.
+(Balle and Wang, 2018, arXiv:1805.06530, Theorem 8), which is solved for epsilon. Flower's
+``RdpAccountant`` bounds the same from above, for a fixed clip alone, and needs ``dp-accounting``.
 """
 
 from __future__ import annotations

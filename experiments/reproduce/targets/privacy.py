@@ -18,7 +18,6 @@ EXPLORING = "agent.epsilon.ticks=4000"
 VARIANTS = (
     Variant("none"),
     Variant("clip alone", "strategy/dp=central strategy.dp.noise=0"),
-    Variant("central", "strategy/dp=central strategy.dp.noise=0.01"),
     Variant("central", "strategy/dp=central strategy.dp.noise=0.1", quick=True),
     Variant("central", "strategy/dp=central strategy.dp.noise=1"),
     Variant("adaptive clip", "strategy/dp=adaptive strategy.dp.noise=0.1"),
