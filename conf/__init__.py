@@ -17,6 +17,7 @@ from conf.networks import (
 )
 from conf.schema import (
     Config,
+    PrivacyConfig,
     SchemeConfig,
     StrategyConfig,
     flower_clients,
@@ -29,6 +30,7 @@ from conf.schema import (
 __all__ = [
     "Config",
     "ConfigError",
+    "PrivacyConfig",
     "SchemeConfig",
     "StrategyConfig",
     "ap_actions",

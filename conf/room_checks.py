@@ -36,6 +36,10 @@ def rules(config: Config) -> Iterator[Problem]:
     if config.strategy.name == "none":
         say = "any other in a building: a room hands on one network"
         yield "strategy.name", config.strategy.name, say
+    for key, dp in (("strategy", config.strategy.dp), ("rooms.strategy", rooms.strategy.dp)):
+        if dp.name != "none":
+            say = "none in a building: privacy is accounted for one room"
+            yield f"{key}.dp.name", dp.name, say
     if config.federation.windows_per_round is not None:
         say = "null in a building: its rounds are of rooms.every windows"
         yield "federation.windows_per_round", config.federation.windows_per_round, say

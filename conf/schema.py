@@ -15,6 +15,30 @@ Seconds = Annotated[float, Interval(ge=0.1, le=86_400)]
 
 
 @dataclass(frozen=True)
+class PrivacyConfig:
+    """Differential privacy of what robots upload: clipped steps, and Gaussian noise."""
+
+    name: Annotated[
+        str,
+        Literal["none", "central", "adaptive", "local"],
+        "noise on the mean, adaptive: with a clip that adapts; or local: on each upload",
+    ] = "none"
+    clip: Annotated[
+        float, Interval(gt=0, le=1e6), "C: largest norm of a window's step; adaptive: its first"
+    ] = 0.1
+    noise: Annotated[
+        float, Interval(ge=0, le=1e6), "z: deviation z C, of the sum of the steps or of each"
+    ] = 0.0
+    delta: Annotated[float, Interval(gt=0, lt=1), "at which epsilon is reported"] = 1e-5
+    quantile: Annotated[
+        float, Interval(gt=0, lt=1), "adaptive: share of the steps that stay as they are"
+    ] = 0.5
+    clip_rate: Annotated[
+        float, Interval(gt=0, le=10), "adaptive: how fast the logarithm of the clip moves"
+    ] = 0.2
+
+
+@dataclass(frozen=True)
 class StrategyConfig:
     """How the robots' weights become one."""
 
@@ -37,6 +61,7 @@ class StrategyConfig:
         Literal["pair", "online"],
         "own: what it is applied to, online and target networks or the online ones",
     ] = "pair"
+    dp: PrivacyConfig = field(default_factory=PrivacyConfig)
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 
 from conf.errors import ConfigError, shown
 from conf.python_values import value_text
-from conf.schema import Config, StrategyConfig
+from conf.schema import Config, PrivacyConfig, StrategyConfig
 from env.validate import Problem
 
 KEYS: dict[str, frozenset[str]] = {
@@ -20,7 +20,18 @@ KEYS: dict[str, frozenset[str]] = {
     "own": frozenset({"target", "options", "scope"}),
     "none": frozenset(),
 }
-"""The keys that each strategy reads, ``name`` aside."""
+"""The keys that each strategy reads, ``name`` and ``dp`` aside."""
+
+PRIVACY_KEYS: dict[str, frozenset[str]] = {
+    "none": frozenset(),
+    "central": frozenset({"clip", "noise", "delta"}),
+    "adaptive": frozenset({"clip", "noise", "delta", "quantile", "clip_rate"}),
+    "local": frozenset({"clip", "noise", "delta"}),
+}
+"""The same of each way to differential privacy."""
+
+MEANS = ("fedavg", "fedprox")
+"""Strategies whose result moves by at most C / K where one of K steps of norm C is taken out."""
 
 
 def rules(config: Config) -> Iterator[Problem]:
@@ -39,16 +50,33 @@ def problems(config: StrategyConfig, count: int, counted: str = "env.robots") ->
     if config.name not in KEYS:
         yield "strategy.name", config.name, f"one of {', '.join(KEYS)}"
         return
-    for field in fields(config):
-        value = getattr(config, field.name)
-        default = getattr(StrategyConfig(), field.name)
-        if field.name in {"name", *KEYS[config.name]} or value == default:
-            continue
-        readers = " or ".join(name for name, keys in KEYS.items() if field.name in keys)
-        allowed = f"{shown(default)} with strategy={config.name}: only {readers} reads it"
-        yield f"strategy.{field.name}", value, allowed
+    yield from _unread(config, KEYS, "strategy")
+    yield from _unread(config.dp, PRIVACY_KEYS, "strategy/dp")
+    yield from _privacy(config)
     if config.name in _RULES:
         yield from _RULES[config.name](config, count, counted)
+
+
+def _unread(
+    config: StrategyConfig | PrivacyConfig, readers: Mapping[str, frozenset[str]], group: str
+) -> Iterator[Problem]:
+    """Keys that are set and that the choice of a group does not read."""
+    for field in fields(config):
+        value, default = getattr(config, field.name), getattr(type(config)(), field.name)
+        if field.name in {"name", "dp", *readers[config.name]} or value == default:
+            continue
+        names = " or ".join(name for name, keys in readers.items() if field.name in keys)
+        allowed = f"{shown(default)} with {group}={config.name}: only {names} reads it"
+        yield f"{group.replace('/', '.')}.{field.name}", value, allowed
+
+
+def _privacy(config: StrategyConfig) -> Iterator[Problem]:
+    """Noise on the result is measured for a mean; noise on uploads suits whatever averages them."""
+    if config.dp.name in ("central", "adaptive") and config.name not in MEANS:
+        allowed = f"none or local with strategy={config.name}: noise is measured for a plain mean"
+        yield "strategy.dp.name", config.dp.name, f"{allowed}, {' or '.join(MEANS)}"
+    if config.dp.name == "local" and config.name == "none":
+        yield "strategy.dp.name", "local", "none with strategy=none: nothing is averaged"
 
 
 def _fedprox(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:

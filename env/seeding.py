@@ -26,6 +26,8 @@ class Stream(IntEnum):
     ROOM = 9
     HELD_OUT_ROOM = 10
     PARTICIPATION = 11
+    PRIVACY = 12
+    LOCAL_NOISE = 13
 
 
 def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:

@@ -39,7 +39,9 @@ def values(node, above=""):
 def test_defaults_stand_in_the_schemas_alone():
     chosen = read("config.yaml")
     groups = {key for item in chosen.pop("defaults") if isinstance(item, dict) for key in item}
-    assert groups == {"env", "agent", "strategy", "runtime", "baseline", "experiment"}
+    assert groups == {
+        "env", "agent", "strategy", "strategy/dp", "runtime", "baseline", "experiment",
+    }  # fmt: skip
     assert chosen == {}
     assert read("env", "default.yaml") == read("agent", "dqn.yaml") == {}
 

@@ -16,6 +16,8 @@ differ by little beside their norms.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import nullcontext
 from enum import Enum
 from typing import Any
 
@@ -28,6 +30,7 @@ from agent.networks.limits import WEIGHT_LIMIT, magnitude
 from repeatable.isolation import within_flower
 from repeatable.kept import Kept
 from training.aggregation.flower_round import WeightRows, client_config, configure, one_round
+from training.aggregation.privacy import averaging, drawing_from
 
 ONLINE, TARGET = slice(0, 1), slice(1, 2)
 """The rows of a robot's weights, shape (2, P)."""
@@ -57,6 +60,7 @@ class Aggregator:
         scope: Scope = Scope.PAIR,
         who: str = "robot",
         partial: bool = False,
+        noise: Callable[[int], np.random.Generator] | None = None,
     ) -> None:
         """Takes a strategy over.
 
@@ -68,11 +72,13 @@ class Aggregator:
             scope: what the strategy is applied to.
             who: what uploads, for messages.
             partial: whether fewer than ``robots`` may upload.
+            noise: the generator of a window, for a strategy that draws from NumPy's global one.
         """
         if robots < 1:
             raise ValueError(f"{robots} {who}s: at least 1 is needed")
         self._strategy = strategy
         self._robots, self._who, self._partial = robots, who, partial
+        self._noise = noise
         self._parts: list[tuple[Strategy, slice]] = [(strategy, slice(None))]
         if scope is Scope.ONLINE:
             self._parts = [(strategy, ONLINE), (FedAvg(), TARGET)]
@@ -107,7 +113,8 @@ class Aggregator:
         """
         self._check(window, current, uploads)
         self._expect(len(uploads))
-        with within_flower():
+        draws = nullcontext() if self._noise is None else drawing_from(self._noise(window))
+        with within_flower(), draws:
             results = [
                 one_round(part, window, current[rows], uploads[:, rows])
                 for part, rows in self._parts
@@ -134,9 +141,9 @@ class Aggregator:
     def _expect(self, count: int) -> None:
         """Lets the strategy wait for so many, all of whom take part."""
         for part, _ in self._parts:
-            if isinstance(part, FedAvg):
-                part.fraction_train = 1.0
-                part.min_train_nodes = part.min_available_nodes = count
+            if isinstance(mean := averaging(part, count), FedAvg):
+                mean.fraction_train = 1.0
+                mean.min_train_nodes = mean.min_available_nodes = count
 
     def _check(self, window: int, current: WeightRows, uploads: WeightRows) -> None:
         if window < 1:

@@ -6,17 +6,26 @@ A strategy is one entry of ``STRATEGIES``, one of ``conf.strategy_checks`` and o
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 from flwr.serverapp.strategy import FedAdam, FedAvg, FedAvgM, FedMedian, FedProx, Krum, Strategy
 
 from conf import StrategyConfig
+from env.seeding import Stream, stream
 from training.aggregation.aggregator import Aggregator, Scope
 from training.aggregation.own import own_strategy
+from training.aggregation.privacy import protected
 
 
 def build_aggregator(
-    config: StrategyConfig, robots: int, *, who: str = "robot", partial: bool = False
+    config: StrategyConfig,
+    robots: int,
+    *,
+    who: str = "robot",
+    partial: bool = False,
+    seed: int = 0,
+    targets: bool = True,
 ) -> Aggregator | None:
     """Makes the aggregator of a run.
 
@@ -25,6 +34,8 @@ def build_aggregator(
         robots: K.
         who: what uploads, for messages.
         partial: whether fewer may upload.
+        seed: the run's, of the noise of ``strategy.dp``.
+        targets: whether anything comes of the target networks' result.
 
     Returns:
         A fresh aggregator, or None for ``none``, where each robot keeps its own weights.
@@ -32,9 +43,17 @@ def build_aggregator(
     build = STRATEGIES[config.name]
     if build is None:
         return None
+    noised = config.dp.name in ("central", "adaptive")
     online = config.name in SERVER_OPTIMISERS or config.scope == "online"
-    scope = Scope.ONLINE if online else Scope.PAIR
-    return Aggregator(build(config), robots, scope=scope, who=who, partial=partial)
+    online |= noised and not targets  # or clipping would count online networks twice
+    return Aggregator(
+        protected(build(config), config.dp, robots),
+        robots,
+        scope=Scope.ONLINE if online else Scope.PAIR,
+        who=who,
+        partial=partial,
+        noise=functools.partial(stream, seed, Stream.PRIVACY) if noised else None,
+    )
 
 
 def _fedavg(config: StrategyConfig) -> FedAvg:

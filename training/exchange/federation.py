@@ -108,5 +108,11 @@ class Federation:
 
 def build_federation(config: Config) -> Federation | None:
     """Makes the federation of a run, or None where each robot keeps its own weights."""
-    aggregator = build_aggregator(config.strategy, config.env.robots, partial=True)
+    aggregator = build_aggregator(
+        config.strategy,
+        config.env.robots,
+        partial=True,
+        seed=config.seed,
+        targets=config.federation.compression.targets == "averaged",
+    )
     return None if aggregator is None else Federation(config, aggregator)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from conf import Config
 from lockstep import Payload
 from training.exchange.packing import PackedSender, packing
+from training.exchange.privacy import LocalPrivacy
 
 Weights = NDArray[np.float32]
 State = dict[str, NDArray[Any]]
@@ -101,7 +102,10 @@ class Outbox:
 
 def changes_of(config: Config, robot: int) -> list[tuple[str, Change]]:
     """What a robot does to its weights before they leave it, in order."""
-    return []
+    changes: list[tuple[str, Change]] = []
+    if config.strategy.dp.name == "local":
+        changes.append(("privacy", LocalPrivacy(config, robot)))
+    return changes
 
 
 def outboxes(config: Config, robots: Sequence[int], parameters: int) -> list[Outbox]:

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from conf import Config, fingerprint, version
+from training.exchange.accounting import spent
 from training.recording.costs import Costs
 from training.recording.history import MEASURES
 from training.recording.progress import Progress
@@ -43,6 +44,7 @@ def summarise(
         "robots": config.env.robots,
         "versions": {name: version(name) for name in ("risfleet", "torch", "numpy", "flwr")},
         "fingerprint": fingerprint(config.env),
+        "privacy": spent(config, progress.window),
         "digest": digests,
         "ticks": progress.tick,
         "windows": progress.window,

@@ -1,0 +1,49 @@
+"""What differential privacy costs: success and efficiency against epsilon."""
+
+from __future__ import annotations
+
+import math
+
+from experiments.reproduce.results.runs import Run
+from experiments.reproduce.targets.comparison import NOTE, Comparison, Variant
+from experiments.reproduce.targets.plan import THREE_SEEDS
+from training.exchange.accounting import ACCOUNTANT
+
+TICKS = 10_000
+"""Of every run, so that all make as many releases: 400 windows."""
+
+EXPLORING = "agent.epsilon.ticks=4000"
+"""By default they explore as long as these runs last."""
+
+VARIANTS = (
+    Variant("none"),
+    Variant("clip alone", "strategy/dp=central strategy.dp.noise=0"),
+    Variant("central", "strategy/dp=central strategy.dp.noise=0.1", quick=True),
+    Variant("central", "strategy/dp=central strategy.dp.noise=1"),
+    Variant("adaptive clip", "strategy/dp=adaptive strategy.dp.noise=0.1"),
+    Variant("local", "strategy/dp=local strategy.dp.noise=0.1", quick=True),
+)
+"""The first is what the others are compared with."""
+
+
+def epsilon(run: Run) -> float:
+    """What a run has spent; nan where it promises nothing."""
+    spent = (run.summary["privacy"] or {}).get("epsilon")
+    return math.nan if spent is None else float(spent)
+
+
+def releases(run: Run) -> float:
+    """Windows after which weights were averaged."""
+    return float(run.summary["windows"])
+
+
+TARGET = Comparison(
+    "privacy",
+    VARIANTS,
+    ("env.robots=3", f"train.max_ticks={TICKS}", EXPLORING),
+    THREE_SEEDS,
+    ("train.max_ticks=5000",),
+    {"ε": epsilon, "releases": releases},
+    {"ε": ",.0f", "releases": ".0f"},
+    f"{NOTE} ε at δ = 1e-5 over all releases of a run, by the {ACCOUNTANT} (-: no noise).",
+)
