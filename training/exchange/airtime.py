@@ -81,7 +81,7 @@ class Airtime:
         joules = self._slots * self._slot_s * self._power_w
         driving = float(motion_energy_j(np.array(self._driven * self._slot_s), self._motion))
         share = self._slots / max(self._ticks, 1)
-        left = max(0.0, 1.0 - share) / (1.0 + joules / driving if driving else 1.0)
+        left = left_over(share, joules, driving)
         return {
             "slots": self._slots,
             "share": share,
@@ -99,3 +99,14 @@ class Airtime:
         """Takes back what ``state`` gave; nothing is a fresh account."""
         slots, driven, ticks = state.get("counted", np.zeros(3)).tolist()
         self._slots, self._driven, self._ticks = slots, driven, int(ticks)
+
+
+def left_over(share: float, joules: float, driving_joules: float) -> float:
+    """What is left of an energy efficiency once exchanges are counted, as a factor.
+
+    Args:
+        share: of all slots that exchanges take; from 1 on nothing is left.
+        joules: that exchanges are sent with.
+        driving_joules: that robots drive with meanwhile.
+    """
+    return max(0.0, 1.0 - share) / (1.0 + joules / driving_joules if driving_joules else 1.0)
