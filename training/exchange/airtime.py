@@ -21,7 +21,7 @@ from training.exchange.facts import WindowFacts
 from training.exchange.packing import payload_bytes
 
 LEAST_RATE = 0.01
-"""In bit/s/Hz: repetition carries weights through any fade at this rate, as C-QOE has it."""
+"""In bit/s/Hz: repetition carries weights through any fade at this rate."""
 
 COUNTED = ("ee", "ee_bits_per_joule")
 """The measures that are given with the exchange counted."""
