@@ -38,7 +38,7 @@ def rules(config: Config) -> Iterator[Problem]:
 
 def _hearing(config: Config, hear: int) -> Iterator[Problem]:
     """Fewer robots than there are, and a strategy that takes fewer."""
-    most = min([config.env.robots, *config.rooms.robots])
+    most = min(config.rooms.robots or [config.env.robots])
     if hear > most:
         yield "federation.hear", hear, f"a number from 1 to the robots there are, {most}, or null"
     if config.strategy.name == "krum":
