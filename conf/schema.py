@@ -139,6 +139,15 @@ class CompressionConfig:
 
 
 @dataclass(frozen=True)
+class AirtimeConfig:
+    """What weights take of the channel; an account in ``summary.json``, which changes no run."""
+
+    bandwidth_hz: Annotated[
+        float, Interval(gt=0, le=1e12), "of weights, in Hz; rates in bit/s/Hz are the channel's"
+    ] = 1e6
+
+
+@dataclass(frozen=True)
 class FederationConfig:
     """How robots are dealt to Flower clients and how often weights are averaged."""
 
@@ -155,7 +164,11 @@ class FederationConfig:
         "wait for a robot or process that is lost to come back; miss: its rooms miss the round",
     ] = "wait"
     loss_timeout_s: Annotated[Seconds, "how long to wait for it"] = 300.0
+    hear: Annotated[
+        int | None, Ge(1), "robots with the best channels that are averaged; null is all"
+    ] = None
     compression: CompressionConfig = field(default_factory=CompressionConfig)
+    airtime: AirtimeConfig = field(default_factory=AirtimeConfig)
     link: LinkConfig = field(default_factory=LinkConfig)
 
 

@@ -11,13 +11,11 @@ from typing import Any
 
 from conf import Config, flower_clients, robot_network
 from lockstep.wire_format import actions_size, step_size
+from training.exchange.packing import payload_bytes
 from training.partition import partition_robots, step_layout
 
 NUMBER = 4
 """Bytes of a float32 or int32."""
-
-NETWORKS = 2
-"""Online and target: both are averaged."""
 
 
 def per_tick(config: Config) -> dict[str, float]:
@@ -30,7 +28,8 @@ def per_tick(config: Config) -> dict[str, float]:
         By name, all but the last in bytes:
 
         * ``weights``: online and target networks of every robot, up once and down once a window of
-          N_F ticks, a tick's share. Payload only.
+          N_F ticks, a tick's share. Payload only, packed where ``federation.compression`` says so;
+          with ``federation.hear`` the uploads of so many.
         * ``weights_per_window``: the same, a window's.
         * ``lockstep``: the frames of the link between world and robots, headers included: a step
           and its actions for each client, and a tick's share of the step that ends a window. On
@@ -44,7 +43,7 @@ def per_tick(config: Config) -> dict[str, float]:
         * ``break_even_every``: the N_F in ticks above which federated learning sends less.
     """
     every, robots = config.federation.every, config.env.robots
-    weights = robots * _directions(config) * NETWORKS * NUMBER * robot_network(config).parameters
+    weights = _weights(config)
     transitions = config.train.worlds * robots * NUMBER * _numbers(config)
     lockstep = _lockstep(config)
     return {
@@ -81,9 +80,11 @@ def waiting(clients: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _directions(config: Config) -> int:
-    """How often weights cross: up and down, or, where nothing is averaged, only up."""
-    return 1 if config.strategy.name == "none" else 2
+def _weights(config: Config) -> int:
+    """Bytes of a window's weights: up and down, or, where nothing is averaged, only up."""
+    up, down = payload_bytes(config)
+    sent = (config.federation.hear or config.env.robots) * up
+    return sent + (0 if config.strategy.name == "none" else config.env.robots * down)
 
 
 def _numbers(config: Config) -> int:

@@ -24,6 +24,7 @@ from training.communication import per_tick, waiting
 from training.controllers.schemes import build_ris_controller
 from training.coordinator import Coordinator
 from training.evaluation import Evaluator
+from training.exchange.airtime import Airtime
 from training.recording.costs import Costs
 from training.recording.history import evaluate
 from training.recording.recorder import Recorder
@@ -59,6 +60,7 @@ class TrainingRun:
         self._waited_s = spent["waited_s"]
         self._costs: Callable[[], Costs] = Costs
         self._writer = Writer()
+        self._airtime = Airtime(config) if robots_learn(config) else None
         self._began = time.perf_counter() - spent["wall_s"]
         self._cpu_before = time.process_time() - spent["cpu_s"]
         scenario = Scenario.drawn(config.env, config.seed)
@@ -107,6 +109,8 @@ class TrainingRun:
         except BaseException:
             self.recorder.close()
             raise
+        if federation is not None:
+            self._airtime = federation.airtime
         before = Costs() if self._resumed is None else Costs(**self._resumed.meta["costs"])
         earlier = costs()  # of a part of the run that was played in vain
         self._costs = lambda: before.plus(costs().minus(earlier))
@@ -194,6 +198,8 @@ class TrainingRun:
             },
             "losses": self.losses,
         }
+        if self._airtime is not None:
+            summary["airtime"] = self._airtime.summary(summary["evaluation"]["last5"])
         self.folder.write_summary(summary)
         if self.config.run.figures:
             from training.recording.figures import save_figures  # matplotlib: where it is wanted

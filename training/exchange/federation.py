@@ -18,9 +18,11 @@ from conf import Config, robot_network
 from lockstep import Payload
 from training.aggregation.strategies import build_aggregator
 from training.checkpoint import flat, part
+from training.exchange.airtime import Airtime
 from training.exchange.facts import WindowFacts, plain
 from training.exchange.packing import PackedSender, packing
 from training.exchange.reception import Heard, Reception
+from training.exchange.selection import only, strongest
 
 if TYPE_CHECKING:
     from training.aggregation.aggregator import Aggregator
@@ -47,12 +49,16 @@ class Federation:
     Args:
         config: the run's configuration.
         aggregator: its strategy.
+
+    Attributes:
+        airtime: what exchanges have taken of the channel so far.
     """
 
     def __init__(self, config: Config, aggregator: Aggregator) -> None:
         self._aggregator, self._reception = aggregator, Reception()
         self._up, self._down = packing(config, robot_network(config).parameters)
         self._sender = None if self._down is None else PackedSender(self._down)
+        self._hear, self.airtime = config.federation.hear, Airtime(config)
 
     def exchange(
         self, window: int, model: Weights, uploads: Payload, facts: WindowFacts
@@ -71,7 +77,9 @@ class Federation:
         """
         given = np.broadcast_to(model, (len(uploads), *model.shape[-2:]))
         rows = self._unpacked(given, uploads)
-        heard = self._reception.heard(window, given, rows, facts)
+        asked = strongest(facts.channel_db, self._hear)
+        self.airtime.add(facts, asked)
+        heard = only(self._reception.heard(window, given, rows, facts), asked)
         return self._sent(model, self._combined(window, model, heard))
 
     def _combined(self, window: int, model: Weights, heard: Heard) -> Weights:
@@ -84,8 +92,13 @@ class Federation:
         """The robots' weights, shape (K, 2, P)."""
         if self._up is None:
             return plain(uploads)
-        pairs = zip(given, uploads, strict=True)
-        return np.stack([self._up.added(each, packed) for each, packed in pairs])
+        rows = []
+        for robot, (each, packed) in enumerate(zip(given, uploads, strict=True)):
+            try:
+                rows.append(self._up.added(each, packed))
+            except ValueError as error:
+                raise ValueError(f"packed weights of robot {robot}: {error}") from error
+        return np.stack(rows)
 
     def _sent(self, before: Weights, model: Weights) -> Exchanged:
         """A new model, as robots get it that hold ``before``."""
@@ -97,11 +110,13 @@ class Federation:
     def state(self) -> dict[str, NDArray[Any]]:
         """All that it keeps between windows."""
         sender = {} if self._sender is None else self._sender.state()
-        return flat({"strategy": self._aggregator.state(), "sender": sender})
+        airtime = self.airtime.state()
+        return flat({"strategy": self._aggregator.state(), "sender": sender, "airtime": airtime})
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
         self._aggregator.restore(part(state, "strategy"))
+        self.airtime.restore(part(state, "airtime"))
         if self._sender is not None:
             self._sender.restore(part(state, "sender"))
 

@@ -8,33 +8,19 @@ server what robots have not.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conf import Config
+from conf import Config, robot_network
+from training.exchange.packers import Bytes, Packer, Weights, build_packer
 
-Weights = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+NUMBER = 4
+"""Bytes of a float32."""
 
-
-class Packer(Protocol):
-    """A vector of numbers as a fixed number of bytes.
-
-    Attributes:
-        size: of what is packed, in bytes.
-    """
-
-    size: int
-
-    def pack(self, values: Weights) -> Bytes:
-        """Packs values of shape (n,) into shape (size,)."""
-        ...
-
-    def unpack(self, packed: Bytes) -> Weights:
-        """What a receiver makes of it, shape (n,)."""
-        ...
+NETWORKS = 2
+"""Online and target."""
 
 
 class Packing:
@@ -63,9 +49,14 @@ class Packing:
         return self._packer.unpack(packed)
 
     def added(self, given: Weights, packed: Bytes) -> Weights:
-        """What a receiver that holds ``given`` has then, both of shape (2, P)."""
+        """What a receiver that holds ``given`` has then, both of shape (2, P).
+
+        Raises:
+            ValueError: no packer makes such bytes. Numbers may still be absurd, or not finite.
+        """
         rows = given if self.targets else given[:1]
-        found = rows + self._packer.unpack(packed).reshape(rows.shape)
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = rows + self._packer.unpack(packed).reshape(rows.shape)
         return np.ascontiguousarray(np.broadcast_to(found, given.shape), np.float32)
 
 
@@ -106,12 +97,9 @@ def packing(config: Config, parameters: int) -> tuple[Packing | None, Packing | 
     """
     chosen = config.federation.compression
     targets = chosen.targets == "averaged"
+    blocks = _blocks(config) * (2 if targets else 1)
     up, down = (
-        Packing(
-            _packer(kind, chosen.keep, (2 if targets else 1) * parameters),
-            parameters,
-            targets=targets,
-        )
+        Packing(build_packer(kind, chosen.keep, blocks), parameters, targets=targets)
         if kind != "none" or not targets
         else None
         for kind in (chosen.up, chosen.down)
@@ -119,41 +107,18 @@ def packing(config: Config, parameters: int) -> tuple[Packing | None, Packing | 
     return up, down
 
 
-def _packer(kind: str, keep: float, numbers: int) -> Packer:
-    if kind == "none":
-        return Floats(numbers)
-    return Quantiser(numbers, int(kind[1:]))
+def payload_bytes(config: Config) -> tuple[int, int]:
+    """Bytes of what one robot sends at a window's end, and of what it is given."""
+    parameters = robot_network(config).parameters
+    plain = NETWORKS * NUMBER * parameters
+    up, down = (plain if each is None else each.size for each in packing(config, parameters))
+    return up, down
 
 
-class Floats:
-    """Numbers as they are, four bytes each."""
-
-    def __init__(self, numbers: int) -> None:
-        self.size = 4 * numbers
-
-    def pack(self, values: Weights) -> Bytes:
-        """See ``Packer.pack``."""
-        return np.ascontiguousarray(values, "<f4").view(np.uint8)
-
-    def unpack(self, packed: Bytes) -> Weights:
-        """See ``Packer.unpack``."""
-        return np.ascontiguousarray(packed).view("<f4").astype(np.float32)
-
-
-class Quantiser:
-    """Eight bits a number."""
-
-    def __init__(self, numbers: int, bits: int) -> None:
-        self.size = 4 + numbers
-
-    def pack(self, values: Weights) -> Bytes:
-        """See ``Packer.pack``."""
-        scale = np.float32(np.abs(values).max(initial=0.0) / 127)
-        steps = np.rint(values / scale) if scale > 0 else np.zeros_like(values)
-        head = np.array([scale], "<f4").view(np.uint8)
-        return np.concatenate([head, steps.astype(np.int8).view(np.uint8)])
-
-    def unpack(self, packed: Bytes) -> Weights:
-        """See ``Packer.unpack``."""
-        scale = np.ascontiguousarray(packed[:4]).view("<f4")[0]
-        return np.ascontiguousarray(packed[4:]).view(np.int8).astype(np.float32) * np.float32(scale)
+def _blocks(config: Config) -> list[int]:
+    """Numbers in each layer's weights and in its bias, as a network's row has them."""
+    return [
+        count
+        for inputs, outputs in robot_network(config).layers
+        for count in (inputs * outputs, outputs)
+    ]

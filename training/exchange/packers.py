@@ -1,0 +1,209 @@
+"""A vector of numbers in a fixed number of bytes, and what a receiver makes of it.
+
+The numbers come in blocks: the weights or the bias of one layer each. Layers differ in scale, so
+quantisers have a scale for each block. Whoever unpacks trusts nothing: bytes that no packer makes
+are a ValueError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Weights = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+
+class Packer(Protocol):
+    """A vector of numbers as a fixed number of bytes.
+
+    Attributes:
+        size: of what is packed, in bytes.
+    """
+
+    size: int
+
+    def pack(self, values: Weights) -> Bytes:
+        """Packs values of shape (n,) into shape (size,)."""
+        ...
+
+    def unpack(self, packed: Bytes) -> Weights:
+        """What a receiver makes of it, shape (n,).
+
+        Raises:
+            ValueError: no packer makes such bytes.
+        """
+        ...
+
+
+def build_packer(kind: str, keep: float, blocks: Sequence[int]) -> Packer:
+    """Makes a packer.
+
+    Args:
+        kind: ``none``, ``q8``, ``q4``, ``q1`` or ``topk``, as ``federation.compression`` has it.
+        keep: share of the numbers that ``topk`` sends.
+        blocks: how many numbers each block has.
+    """
+    if kind == "none":
+        return Floats(sum(blocks))
+    if kind == "topk":
+        return TopK(sum(blocks), keep)
+    return Signs(blocks) if kind == "q1" else Quantiser(blocks, int(kind[1:]))
+
+
+class Floats:
+    """Numbers as they are, four bytes each."""
+
+    def __init__(self, numbers: int) -> None:
+        self.size = 4 * numbers
+
+    def pack(self, values: Weights) -> Bytes:
+        """See ``Packer.pack``."""
+        return np.ascontiguousarray(values, "<f4").view(np.uint8)
+
+    def unpack(self, packed: Bytes) -> Weights:
+        """See ``Packer.unpack``."""
+        return _numbers(packed, "<f4").astype(np.float32)
+
+
+class Quantiser:
+    """Numbers rounded to the nearest of 255 steps, or of 15, from -s to s.
+
+    The error is at most half a step: s / 254 with eight bits, s / 14 with four, where s is the
+    largest magnitude of the number's block.
+
+    Args:
+        blocks: how many numbers each block has.
+        bits: 8 or 4.
+    """
+
+    def __init__(self, blocks: Sequence[int], bits: int) -> None:
+        self._scales, self._bits, self._most = Scales(blocks), bits, 2 ** (bits - 1) - 1
+        self.size = self._scales.size + -(-self._scales.numbers * bits // 8)
+
+    def pack(self, values: Weights) -> Bytes:
+        """See ``Packer.pack``."""
+        largest = np.maximum.reduceat(np.abs(values), self._scales.starts)
+        head, scale = self._scales.pack((largest / np.float32(self._most)).astype(np.float32))
+        with np.errstate(invalid="ignore"):  # a NaN is seen by whoever unpacks its scale
+            steps = np.rint(np.divide(values, scale, out=np.zeros_like(values), where=scale != 0))
+        whole = np.clip(np.nan_to_num(steps), -self._most, self._most).astype(np.int8)
+        return np.concatenate([head, whole.view(np.uint8) if self._bits == 8 else _halved(whole)])
+
+    def unpack(self, packed: Bytes) -> Weights:
+        """See ``Packer.unpack``."""
+        scale, rest = self._scales.unpack(packed)
+        steps = rest.view(np.int8) if self._bits == 8 else _doubled(rest, len(scale))
+        with np.errstate(over="ignore"):  # of a scale that no honest robot has
+            return steps.astype(np.float32) * scale
+
+
+class Signs:
+    """The sign of each number, and the mean magnitude of its block (Karimireddy et al., 2019).
+
+    With error feedback this scaled sign converges at the rate of plain SGD (arXiv:1901.09847,
+    Theorem II); without, it need not.
+
+    Args:
+        blocks: how many numbers each block has.
+    """
+
+    def __init__(self, blocks: Sequence[int]) -> None:
+        self._scales = Scales(blocks)
+        self.size = self._scales.size + -(-self._scales.numbers // 8)
+
+    def pack(self, values: Weights) -> Bytes:
+        """See ``Packer.pack``."""
+        sums = np.add.reduceat(np.abs(values).astype(np.float64), self._scales.starts)
+        head, _ = self._scales.pack((sums / self._scales.blocks).astype(np.float32))
+        return np.concatenate([head, np.packbits(values >= 0)])
+
+    def unpack(self, packed: Bytes) -> Weights:
+        """See ``Packer.unpack``."""
+        scale, rest = self._scales.unpack(packed)
+        return np.where(np.unpackbits(rest, count=len(scale)) != 0, scale, -scale)
+
+
+class TopK:
+    """The numbers of largest magnitude with their places; all others are 0 (Stich et al., 2018).
+
+    Of equal magnitudes the first is sent (arXiv:1809.07599).
+
+    Args:
+        numbers: n.
+        keep: the share of them that is sent, of which at least one is.
+    """
+
+    def __init__(self, numbers: int, keep: float) -> None:
+        self._all, self._kept = numbers, max(1, round(keep * numbers))
+        self._place = np.dtype("<u2" if numbers <= 2**16 else "<u4")
+        self.size = self._kept * (self._place.itemsize + 4)
+
+    def pack(self, values: Weights) -> Bytes:
+        """See ``Packer.pack``."""
+        magnitude = np.nan_to_num(np.abs(values), nan=np.inf)  # a NaN is for the receiver to see
+        places = np.sort(np.argsort(-magnitude, kind="stable")[: self._kept])
+        found = places.astype(self._place), values[places].astype("<f4")
+        return np.concatenate([part.view(np.uint8) for part in found])
+
+    def unpack(self, packed: Bytes) -> Weights:
+        """See ``Packer.unpack``."""
+        at = self._kept * self._place.itemsize
+        places = _numbers(packed[:at], self._place).astype(np.int64)
+        if places[-1] >= self._all or (np.diff(places) <= 0).any():
+            raise ValueError(f"their places are not {self._kept} ascending ones below {self._all}")
+        values = np.zeros(self._all, np.float32)
+        values[places] = _numbers(packed[at:], "<f4")
+        return values
+
+
+class Scales:
+    """A float32 for each block of numbers, at the head of what is packed.
+
+    Attributes:
+        blocks: how many numbers each block has, shape (blocks,).
+        numbers: in all, n.
+        starts: where each block begins, shape (blocks,).
+        size: of the head in bytes.
+    """
+
+    def __init__(self, blocks: Sequence[int]) -> None:
+        self.blocks = np.array(blocks, np.int64)
+        self.numbers, self.size = int(self.blocks.sum()), 4 * len(blocks)
+        self.starts = np.cumsum(self.blocks) - self.blocks
+
+    def pack(self, scales: Weights) -> tuple[Bytes, Weights]:
+        """The head, and the scale of each number, shape (n,)."""
+        return np.ascontiguousarray(scales, "<f4").view(np.uint8), np.repeat(scales, self.blocks)
+
+    def unpack(self, packed: Bytes) -> tuple[Weights, Bytes]:
+        """The scale of each number, shape (n,), and what comes after the head.
+
+        Raises:
+            ValueError: a scale is none.
+        """
+        scales = _numbers(packed[: self.size], "<f4").astype(np.float32)
+        if not (np.isfinite(scales) & (scales >= 0)).all():
+            wrong = scales[~(np.isfinite(scales) & (scales >= 0))][0]
+            raise ValueError(f"a scale is {wrong:g}, which is no finite number from 0 up")
+        return np.repeat(scales, self.blocks), packed[self.size :]
+
+
+def _numbers(packed: Bytes, kind: str | np.dtype[np.unsignedinteger]) -> NDArray[np.generic]:
+    """Bytes read as numbers of a kind."""
+    return np.ascontiguousarray(packed).view(kind)
+
+
+def _halved(steps: NDArray[np.int8]) -> Bytes:
+    """Steps from -7 to 7, two in a byte, the first one high."""
+    even = np.zeros(len(steps) + len(steps) % 2, np.uint8)
+    even[: len(steps)] = steps + 8
+    return (even[::2] << 4 | even[1::2]).astype(np.uint8)
+
+
+def _doubled(halves: Bytes, count: int) -> NDArray[np.int8]:
+    """The inverse of ``_halved``."""
+    return np.stack([halves >> 4, halves & 15], axis=-1).ravel()[:count].astype(np.int8) - 8
