@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Interval
 
 from agent.config import AgentConfig
-from env.config import EnvConfig, NotNegative
+from env.config import MAX_ROBOTS, EnvConfig, NotNegative
 
 Decay = Annotated[float, Interval(ge=0, lt=1)]
 Seconds = Annotated[float, Interval(ge=0.1, le=86_400)]
@@ -37,6 +37,12 @@ class StrategyConfig:
         Literal["pair", "online"],
         "own: what it is applied to, online and target networks or the online ones",
     ] = "pair"
+    graph: Annotated[
+        str, Literal["ring", "complete", "random"], "gossip: who hears whom; random: drawn anew"
+    ] = "ring"
+    degree: Annotated[
+        int, Interval(ge=1, le=MAX_ROBOTS), "gossip on a random graph: whom each robot picks"
+    ] = 1
 
 
 @dataclass(frozen=True)
@@ -130,6 +136,11 @@ class FederationConfig:
         "wait for a robot or process that is lost to come back; miss: its rooms miss the round",
     ] = "wait"
     loss_timeout_s: Annotated[Seconds, "how long to wait for it"] = 300.0
+    own: Annotated[
+        str,
+        Literal["none", "heads", "trunk", "input", "normalisation"],
+        "what stays each robot's own: the last layer, all but it, the first, its scale of inputs",
+    ] = "none"
     compression: CompressionConfig = field(default_factory=CompressionConfig)
     link: LinkConfig = field(default_factory=LinkConfig)
 

@@ -26,6 +26,7 @@ class Stream(IntEnum):
     ROOM = 9
     HELD_OUT_ROOM = 10
     PARTICIPATION = 11
+    GOSSIP = 19
 
 
 def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:

@@ -27,7 +27,8 @@ def build_aggregator(
         partial: whether fewer may upload.
 
     Returns:
-        A fresh aggregator, or None for ``none``, where each robot keeps its own weights.
+        A fresh aggregator, or None where no strategy of Flower's combines: ``none``, and what
+        ``training.exchange.combining`` has beside it.
     """
     build = STRATEGIES[config.name]
     if build is None:
@@ -69,8 +70,10 @@ STRATEGIES: dict[str, Callable[[StrategyConfig], Strategy] | None] = {
     "fedadam": _fedadam,
     "fedmedian": _fedmedian,
     "fedprox": _fedprox,
+    "gossip": None,
     "krum": _krum,
     "own": own_strategy,
+    "visits": None,
     "none": None,
 }
 

@@ -9,21 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config, robot_network
 from lockstep import Payload
-from training.aggregation.strategies import build_aggregator
 from training.checkpoint import flat, part
+from training.exchange.combining import Combiner, build_combiner
 from training.exchange.facts import WindowFacts, plain
 from training.exchange.packing import PackedSender, packing
-from training.exchange.reception import Heard, Reception
-
-if TYPE_CHECKING:
-    from training.aggregation.aggregator import Aggregator
+from training.exchange.reception import Reception
 
 Weights = NDArray[np.float32]
 
@@ -46,11 +43,11 @@ class Federation:
 
     Args:
         config: the run's configuration.
-        aggregator: its strategy.
+        combiner: of its strategy.
     """
 
-    def __init__(self, config: Config, aggregator: Aggregator) -> None:
-        self._aggregator, self._reception = aggregator, Reception()
+    def __init__(self, config: Config, combiner: Combiner) -> None:
+        self._combiner, self._reception = combiner, Reception()
         self._up, self._down = packing(config, robot_network(config).parameters)
         self._sender = None if self._down is None else PackedSender(self._down)
 
@@ -72,13 +69,14 @@ class Federation:
         given = np.broadcast_to(model, (len(uploads), *model.shape[-2:]))
         rows = self._unpacked(given, uploads)
         heard = self._reception.heard(window, given, rows, facts)
-        return self._sent(model, self._combined(window, model, heard))
+        # where nobody was heard, robots are to hold what they held
+        heard_any = len(heard.robots) > 0
+        found = self._combiner.combine(window, given, heard, facts) if heard_any else model
+        return self._sent(model, found)
 
-    def _combined(self, window: int, model: Weights, heard: Heard) -> Weights:
-        """What robots are to hold; what they held where nobody was heard."""
-        if not len(heard.robots):
-            return model
-        return self._aggregator.aggregate(window, model, heard.rows)
+    def observed(self, updates: np.ndarray) -> None:
+        """Takes notice of the records that robots are sent in a step, shape (K E,)."""
+        self._combiner.observed(updates)
 
     def _unpacked(self, given: Weights, uploads: Payload) -> Weights:
         """The robots' weights, shape (K, 2, P)."""
@@ -97,16 +95,16 @@ class Federation:
     def state(self) -> dict[str, NDArray[Any]]:
         """All that it keeps between windows."""
         sender = {} if self._sender is None else self._sender.state()
-        return flat({"strategy": self._aggregator.state(), "sender": sender})
+        return flat({"combiner": self._combiner.state(), "sender": sender})
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
-        self._aggregator.restore(part(state, "strategy"))
+        self._combiner.restore(part(state, "combiner"))
         if self._sender is not None:
             self._sender.restore(part(state, "sender"))
 
 
 def build_federation(config: Config) -> Federation | None:
     """Makes the federation of a run, or None where each robot keeps its own weights."""
-    aggregator = build_aggregator(config.strategy, config.env.robots, partial=True)
-    return None if aggregator is None else Federation(config, aggregator)
+    combiner = build_combiner(config)
+    return None if combiner is None else Federation(config, combiner)
