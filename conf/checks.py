@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from agent import config as agent
-from conf import exchange_checks, room_checks, scheme_checks, strategy_checks
+from conf import exchange_checks, own_checks, room_checks, scheme_checks, strategy_checks
 from conf.schema import Config, has_rooms
 from env import validate
 from env.config_checks import RULES as ENV_RULES
@@ -76,5 +76,6 @@ RULES = (
     strategy_checks.rules,
     room_checks.rules,
     exchange_checks.rules,
+    own_checks.rules,
 )
 """Each counts on those before it."""

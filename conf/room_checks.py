@@ -33,7 +33,7 @@ def rules(config: Config) -> Iterator[Problem]:
             f"1 with scheme.agents={config.scheme.agents} and scheme.robots={config.scheme.robots}"
         )
         yield "rooms.count", rooms.count, f"{say}: rooms share what robots learn"
-    if config.strategy.name == "none":
+    if config.strategy.name in ("none", "gossip"):
         say = "any other in a building: a room hands on one network"
         yield "strategy.name", config.strategy.name, say
     for key, dp in (("strategy", config.strategy.dp), ("rooms.strategy", rooms.strategy.dp)):
@@ -58,3 +58,6 @@ def rules(config: Config) -> Iterator[Problem]:
         yield f"rooms.{key}", value, say
     if rooms.strategy.name == "none":
         yield "rooms.strategy.name", "none", "any other: rooms that share nothing are runs"
+    elif rooms.strategy.name in ("gossip", "visits"):
+        say = "any other across rooms: it is of robots in one room"
+        yield "rooms.strategy.name", rooms.strategy.name, say

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Interval
 
 from agent.config import AgentConfig
-from env.config import EnvConfig, NotNegative
+from env.config import MAX_ROBOTS, EnvConfig, NotNegative
 
 Decay = Annotated[float, Interval(ge=0, lt=1)]
 Seconds = Annotated[float, Interval(ge=0.1, le=86_400)]
@@ -62,6 +62,12 @@ class StrategyConfig:
         "own: what it is applied to, online and target networks or the online ones",
     ] = "pair"
     dp: PrivacyConfig = field(default_factory=PrivacyConfig)
+    graph: Annotated[
+        str, Literal["ring", "complete", "random"], "gossip: who hears whom; random: drawn anew"
+    ] = "ring"
+    degree: Annotated[
+        int, Interval(ge=1, le=MAX_ROBOTS), "gossip on a random graph: whom each robot picks"
+    ] = 1
 
 
 @dataclass(frozen=True)
@@ -167,6 +173,11 @@ class FederationConfig:
     hear: Annotated[
         int | None, Ge(1), "robots with the best channels that are averaged; null is all"
     ] = None
+    own: Annotated[
+        str,
+        Literal["none", "heads", "trunk", "input", "normalisation"],
+        "what stays each robot's own: the last layer, all but it, the first, its scale of inputs",
+    ] = "none"
     compression: CompressionConfig = field(default_factory=CompressionConfig)
     airtime: AirtimeConfig = field(default_factory=AirtimeConfig)
     link: LinkConfig = field(default_factory=LinkConfig)

@@ -16,8 +16,10 @@ KEYS: dict[str, frozenset[str]] = {
     "fedadam": frozenset({"server_rate", "beta_1", "beta_2", "tau"}),
     "fedmedian": frozenset(),
     "fedprox": frozenset({"proximal_mu"}),
+    "gossip": frozenset({"graph", "degree"}),
     "krum": frozenset({"malicious"}),
     "own": frozenset({"target", "options", "scope"}),
+    "visits": frozenset(),
     "none": frozenset(),
 }
 """The keys that each strategy reads, ``name`` and ``dp`` aside."""
@@ -85,6 +87,17 @@ def _fedprox(config: StrategyConfig, count: int, counted: str) -> Iterator[Probl
         yield "strategy.proximal_mu", config.proximal_mu, allowed
 
 
+def _gossip(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
+    """Whether there are others to hear, and what only a random graph has."""
+    if count < 2:
+        yield "strategy.name", config.name, f"{counted} of at least 2, not {count}"
+    elif config.graph != "random" and config.degree != StrategyConfig().degree:
+        say = f"{StrategyConfig().degree} with strategy.graph={config.graph}: only random reads it"
+        yield "strategy.degree", config.degree, say
+    elif config.degree >= count:
+        yield "strategy.degree", config.degree, f"from 1 to {count - 1} with {counted}={count}"
+
+
 def _krum(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     """Krum tolerates f of K robots where K >= 2f + 3 (Blanchard et al., 2017, Proposition 2)."""
     most = (count - 3) // 2
@@ -120,6 +133,7 @@ def _own(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
 _RULES: dict[str, Callable[[StrategyConfig, int, str], Iterator[Problem]]] = {
     "fedadam": _fedadam,
     "fedprox": _fedprox,
+    "gossip": _gossip,
     "krum": _krum,
     "own": _own,
 }

@@ -28,6 +28,7 @@ class Stream(IntEnum):
     PARTICIPATION = 11
     PRIVACY = 12
     LOCAL_NOISE = 13
+    GOSSIP = 19
 
 
 def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:

@@ -233,6 +233,8 @@ class Coordinator:
             next_observation = self._count(outcome)
             self._end_episodes(ended)
         self._observe_into(updates, anew=ends)
+        if self._federation is not None:
+            self._federation.observed(updates)
         expect = Expect.ACTIONS
         if last:
             expect = Expect.END_ROUND if self._is_over() else Expect.WEIGHTS

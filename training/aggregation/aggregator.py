@@ -26,11 +26,11 @@ import numpy.typing as npt
 from flwr.app import ArrayRecord
 from flwr.serverapp.strategy import FedAvg, Strategy
 
-from agent.networks.limits import WEIGHT_LIMIT, magnitude
 from repeatable.isolation import within_flower
 from repeatable.kept import Kept
 from training.aggregation.flower_round import WeightRows, client_config, configure, one_round
 from training.aggregation.privacy import averaging, drawing_from
+from training.aggregation.uploads import check_uploads
 
 ONLINE, TARGET = slice(0, 1), slice(1, 2)
 """The rows of a robot's weights, shape (2, P)."""
@@ -155,10 +155,4 @@ class Aggregator:
                 f"weights of shape {current.shape} and uploads of shape {uploads.shape}:"
                 f" (2, P) and ({self._robots}, 2, P) are expected"
             )
-        largest = [magnitude(upload) for upload in uploads]
-        if absurd := [k for k, value in enumerate(largest) if not value <= WEIGHT_LIMIT]:
-            named = ", ".join(f"{self._who} {each} ({largest[each]:.3g})" for each in absurd)
-            raise ValueError(
-                f"window {window}: absurd weights from {named}, of {self._who}s 0 to"
-                f" {len(uploads) - 1}: finite ones of at most {WEIGHT_LIMIT:g} are taken"
-            )
+        check_uploads(window, uploads, self._who)

@@ -38,7 +38,8 @@ def build_aggregator(
         targets: whether anything comes of the target networks' result.
 
     Returns:
-        A fresh aggregator, or None for ``none``, where each robot keeps its own weights.
+        A fresh aggregator, or None where no strategy of Flower's combines: ``none``, and what
+        ``training.exchange.combining`` has beside it.
     """
     build = STRATEGIES[config.name]
     if build is None:
@@ -88,8 +89,10 @@ STRATEGIES: dict[str, Callable[[StrategyConfig], Strategy] | None] = {
     "fedadam": _fedadam,
     "fedmedian": _fedmedian,
     "fedprox": _fedprox,
+    "gossip": None,
     "krum": _krum,
     "own": own_strategy,
+    "visits": None,
     "none": None,
 }
 

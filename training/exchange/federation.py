@@ -9,23 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config, robot_network
 from lockstep import Payload
-from training.aggregation.strategies import build_aggregator
 from training.checkpoint import flat, part
 from training.exchange.airtime import Airtime
+from training.exchange.combining import Combiner, build_combiner
 from training.exchange.facts import WindowFacts, plain
 from training.exchange.packing import PackedSender, packing
-from training.exchange.reception import Heard, Reception
+from training.exchange.reception import Reception
 from training.exchange.selection import only, strongest
-
-if TYPE_CHECKING:
-    from training.aggregation.aggregator import Aggregator
 
 Weights = NDArray[np.float32]
 
@@ -48,14 +45,14 @@ class Federation:
 
     Args:
         config: the run's configuration.
-        aggregator: its strategy.
+        combiner: of its strategy.
 
     Attributes:
         airtime: what exchanges have taken of the channel so far.
     """
 
-    def __init__(self, config: Config, aggregator: Aggregator) -> None:
-        self._aggregator, self._reception = aggregator, Reception()
+    def __init__(self, config: Config, combiner: Combiner) -> None:
+        self._combiner, self._reception = combiner, Reception()
         self._up, self._down = packing(config, robot_network(config).parameters)
         self._sender = None if self._down is None else PackedSender(self._down)
         self._hear, self.airtime = config.federation.hear, Airtime(config)
@@ -80,13 +77,14 @@ class Federation:
         asked = strongest(facts.channel_db, self._hear)
         self.airtime.add(facts, asked)
         heard = only(self._reception.heard(window, given, rows, facts), asked)
-        return self._sent(model, self._combined(window, model, heard))
+        # where nobody was heard, robots are to hold what they held
+        heard_any = len(heard.robots) > 0
+        found = self._combiner.combine(window, given, heard, facts) if heard_any else model
+        return self._sent(model, found)
 
-    def _combined(self, window: int, model: Weights, heard: Heard) -> Weights:
-        """What robots are to hold; what they held where nobody was heard."""
-        if not len(heard.robots):
-            return model
-        return self._aggregator.aggregate(window, model, heard.rows)
+    def observed(self, updates: np.ndarray) -> None:
+        """Takes notice of the records that robots are sent in a step, shape (K E,)."""
+        self._combiner.observed(updates)
 
     def _unpacked(self, given: Weights, uploads: Payload) -> Weights:
         """The robots' weights, shape (K, 2, P)."""
@@ -111,11 +109,11 @@ class Federation:
         """All that it keeps between windows."""
         sender = {} if self._sender is None else self._sender.state()
         airtime = self.airtime.state()
-        return flat({"strategy": self._aggregator.state(), "sender": sender, "airtime": airtime})
+        return flat({"combiner": self._combiner.state(), "sender": sender, "airtime": airtime})
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
-        self._aggregator.restore(part(state, "strategy"))
+        self._combiner.restore(part(state, "combiner"))
         self.airtime.restore(part(state, "airtime"))
         if self._sender is not None:
             self._sender.restore(part(state, "sender"))
@@ -123,11 +121,5 @@ class Federation:
 
 def build_federation(config: Config) -> Federation | None:
     """Makes the federation of a run, or None where each robot keeps its own weights."""
-    aggregator = build_aggregator(
-        config.strategy,
-        config.env.robots,
-        partial=True,
-        seed=config.seed,
-        targets=config.federation.compression.targets == "averaged",
-    )
-    return None if aggregator is None else Federation(config, aggregator)
+    combiner = build_combiner(config)
+    return None if combiner is None else Federation(config, combiner)

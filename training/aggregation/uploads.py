@@ -1,0 +1,28 @@
+"""Checks of what is to be combined, whatever combines it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.networks.limits import WEIGHT_LIMIT, magnitude
+
+
+def check_uploads(window: int, uploads: NDArray[np.float32], who: str = "robot") -> None:
+    """Refuses uploads of absurd weights.
+
+    Args:
+        window: the window's number.
+        uploads: a row each, shape (K, 2, P).
+        who: what uploads, for the message.
+
+    Raises:
+        ValueError: a weight is not finite or beyond ``WEIGHT_LIMIT``; the message names whose.
+    """
+    largest = [magnitude(upload) for upload in uploads]
+    if absurd := [k for k, value in enumerate(largest) if not value <= WEIGHT_LIMIT]:
+        named = ", ".join(f"{who} {each} ({largest[each]:.3g})" for each in absurd)
+        raise ValueError(
+            f"window {window}: absurd weights from {named}, of {who}s 0 to {len(uploads) - 1}:"
+            f" finite ones of at most {WEIGHT_LIMIT:g} are taken"
+        )
