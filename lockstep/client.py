@@ -32,7 +32,7 @@ from lockstep.messages import (
     checked_model,
 )
 from lockstep.messages import Rejection as RefusedMessage
-from lockstep.wire_format import TEXT_SIZE, step_size, weights_size
+from lockstep.wire_format import TEXT_SIZE, model_size, step_size
 
 log = logging.getLogger(__name__)
 
@@ -102,7 +102,7 @@ def _entered(
 ) -> _Line:
     """Say hello and hear the welcome."""
     hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
-    most = weights_size((max(len(robots), 1), 2, n_parameters))
+    most = model_size((max(len(robots), 1), 2, n_parameters))
     limit = max(TEXT_SIZE, step_size(len(robots), layout), most)
     line = _Line(FrameStream(sock, limit), timeout_s, layout)
     line.wait_up_to(timeout_s)

@@ -64,6 +64,11 @@ def weights_size(shape: tuple[int, ...]) -> int:
     return HEADER.size + WEIGHTS.size + 4 * math.prod(shape)
 
 
+def model_size(shape: tuple[int, ...]) -> int:
+    """Bytes of the longest frame that brings robots a plain model: a `RESTORE`'s head is longer."""
+    return HEADER.size + max(WEIGHTS.size, RESTORE.size) + 4 * math.prod(shape)
+
+
 def upload_size(robots: int, parameters: int, layout: Layout) -> int:
     """Bytes of the upload of so many robots, of P numbers each network."""
     if layout.upload:

@@ -11,6 +11,8 @@ from typing import Any
 
 from conf import Config, flower_clients, robot_network
 from lockstep.wire_format import actions_size, step_size
+from training.aggregation.gossip import mean_degree
+from training.exchange.own_parts import shared_numbers
 from training.partition import partition_robots, step_layout
 
 NUMBER = 4
@@ -30,7 +32,9 @@ def per_tick(config: Config) -> dict[str, float]:
         By name, all but the last in bytes:
 
         * ``weights``: online and target networks of every robot, up once and down once a window of
-          N_F ticks, a tick's share. Payload only.
+          N_F ticks, a tick's share. Payload only, and of a network only what is shared
+          (``federation.own``). With ``strategy=gossip`` each robot sends to each of its neighbours,
+          on random graphs in the mean, and nothing to the access point.
         * ``weights_per_window``: the same, a window's.
         * ``lockstep``: the frames of the link between world and robots, headers included: a step
           and its actions for each client, and a tick's share of the step that ends a window. On
@@ -44,7 +48,8 @@ def per_tick(config: Config) -> dict[str, float]:
         * ``break_even_every``: the N_F in ticks above which federated learning sends less.
     """
     every, robots = config.federation.every, config.env.robots
-    weights = robots * _directions(config) * NETWORKS * NUMBER * robot_network(config).parameters
+    numbers = int(shared_numbers(robot_network(config), config.federation.own).sum())
+    weights = robots * _crossings(config) * NETWORKS * NUMBER * numbers
     transitions = config.train.worlds * robots * NUMBER * _numbers(config)
     lockstep = _lockstep(config)
     return {
@@ -81,8 +86,10 @@ def waiting(clients: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _directions(config: Config) -> int:
-    """How often weights cross: up and down, or, where nothing is averaged, only up."""
+def _crossings(config: Config) -> float:
+    """How often a robot's weights cross: up and down, only up where nothing is averaged, or out."""
+    if config.strategy.name == "gossip":
+        return mean_degree(config.strategy, config.env.robots)
     return 1 if config.strategy.name == "none" else 2
 
 
