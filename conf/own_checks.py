@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from conf.networks import robots_learn
-from conf.schema import Config, has_rooms
+from conf.schema import CompressionConfig, Config, has_rooms
 from env.validate import Problem
 
 AVERAGES = ("fedavg", "fedprox", "fedmedian", "krum")
@@ -21,13 +21,17 @@ def rules(config: Config) -> Iterator[Problem]:
     Args:
         config: free of other problems.
     """
-    own, down = config.federation.own, config.federation.compression.down
+    own = config.federation.own
     if own != "none":
         yield from _own_problems(config)
-    if down != "none" and (own != "none" or config.strategy.name == "gossip"):
+    if own != "none" or config.strategy.name == "gossip":
         who = "strategy=gossip" if own == "none" else f"federation.own={own}"
-        say = f"none with {who}: robots are not given one model"
-        yield "federation.compression.down", down, say
+        compression, default = config.federation.compression, CompressionConfig()
+        for key in ("down", "targets"):
+            value, allowed = getattr(compression, key), getattr(default, key)
+            if value != allowed:
+                say = f"{allowed} with {who}: robots are not given one model"
+                yield f"federation.compression.{key}", value, say
 
 
 def _own_problems(config: Config) -> Iterator[Problem]:

@@ -72,7 +72,7 @@ def upload_size(robots: int, parameters: int, layout: Layout) -> int:
 
 
 def model_size(robots: int, parameters: int) -> int:
-    """Bytes of the longest frame with plain weights, each of so many robots its own."""
+    """Bytes of the longest frame that brings so many robots plain models, each its own."""
     return HEADER.size + max(WEIGHTS.size, RESTORE.size) + 4 * robots * 2 * parameters
 
 

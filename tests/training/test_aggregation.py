@@ -443,7 +443,7 @@ def test_each_file_fits_the_schema_and_builds(path: Path) -> None:
         config = dataclasses.replace(config, target="flwr.serverapp.strategy:FedTrimmedAvg")
     assert problems(config, 3) == []
     built = build_aggregator(config, 3)
-    assert (built is None) == (path.stem == "none")
+    assert (built is None) == (path.stem in {"none", "gossip", "visits"})
     if built is not None:
         assert built.aggregate(1, *weights(3)).shape == (2, P)
 
@@ -485,7 +485,7 @@ def test_the_default_is_the_papers_plain_mean() -> None:
 @pytest.mark.parametrize(
     ("config", "robots", "key", "allowed"),
     [
-        (StrategyConfig(name="fedsgd"), 3, "strategy.name", "fedmedian, fedprox, krum, own, none"),
+        (StrategyConfig(name="fedsgd"), 3, "strategy.name", "krum, own, visits, none"),
         (StrategyConfig(name="krum"), 2, "strategy.name", "env.robots of at least 3, not 2"),
         (StrategyConfig(name="krum", malicious=2), 5, "strategy.malicious", "from 0 to 1"),
         (StrategyConfig(name="fedprox"), 3, "strategy.proximal_mu", "above 0"),
@@ -495,6 +495,15 @@ def test_the_default_is_the_papers_plain_mean() -> None:
         (StrategyConfig(name="fedmedian", tau=0.1), 3, "strategy.tau", "only fedadam reads it"),
         (StrategyConfig(name="fedavgm", beta_1=0.9), 3, "strategy.beta_1", "only fedadam reads it"),
         (fedadam(tau=0.0), 3, "strategy.tau", "a number above 0"),
+        (StrategyConfig(graph="complete"), 3, "strategy.graph", "only gossip reads it"),
+        (StrategyConfig(name="gossip"), 1, "strategy.name", "env.robots of at least 2, not 1"),
+        (StrategyConfig(name="gossip", degree=2), 3, "strategy.degree", "only random reads it"),
+        (
+            StrategyConfig(name="gossip", graph="random", degree=3),
+            3,
+            "strategy.degree",
+            "from 1 to 2 with env.robots=3",
+        ),
     ],
 )
 def test_problems_name_the_key_and_what_is_allowed(

@@ -69,3 +69,17 @@ def test_waiting_is_a_mean_over_exchanges():
         {"robots": [0], "awaited_us": 500.0, "ahead_us": 250.0},
         {"robots": [1], "awaited_us": 0.0, "ahead_us": 0.0},
     ]
+
+
+def test_gossip_sends_to_neighbours_and_own_parts_send_nothing():
+    six = ["env.robots=6", "strategy=gossip"]
+    of_one = 2 * 4 * PARAMETERS
+    ring, complete, random = (
+        per_tick(compose([*six, f"strategy.graph={graph}"]))["weights_per_window"]
+        for graph in ("ring", "complete", "random")
+    )
+    assert (ring, complete) == (6 * 2 * of_one, 6 * 5 * of_one)
+    # each picks one of five: an edge stands unless neither picks the other, 1 - (4/5)^2 = 9/25
+    assert random == pytest.approx(6 * 5 * 9 / 25 * of_one)
+    heads = per_tick(compose(["federation.own=heads"]))["weights_per_window"]
+    assert heads == 3 * 2 * 2 * 4 * (384 + 4160)

@@ -181,12 +181,11 @@ def shared_numbers(shape: NetworkShape, own: str) -> NDArray[np.bool_]:
     sizes = [(inputs + 1) * outputs for inputs, outputs in shape.layers]
     layer, last = np.repeat(np.arange(len(sizes)), sizes), len(sizes) - 1
     is_shared: dict[str, NDArray[np.bool_]] = {
-        "none": layer >= 0,
         "heads": layer != last,
         "trunk": layer == last,
         "input": layer != 0,
     }
-    return is_shared[own]
+    return is_shared.get(own, layer >= 0)  # without own layers all are
 
 
 def own_parts(config: Config) -> OwnParts | None:

@@ -1,4 +1,4 @@
-"""Robots that differ: what stays their own, or how they count, where the state hides their goals."""
+"""Robots that differ: what stays their own, or how they count, where states hide their goals."""
 
 from __future__ import annotations
 

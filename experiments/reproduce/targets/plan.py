@@ -21,19 +21,10 @@ TARGETS = (
     "claims",
     "optimality",
     "building",
-TARGETS = (
-    "fig3",
-    "fig4",
-    "fig5",
-    "ablations",
-    "claims",
-    "optimality",
-    "building",
     "privacy",
     "bytes",
     "airtime",
     "heterogeneity",
-)
 )
 """Each a module beside this one, with its ``TARGET``."""
 

@@ -1,0 +1,53 @@
+"""Own parts and gossip beside what they do not go with: one sentence each."""
+
+from __future__ import annotations
+
+import pytest
+
+from conf import ConfigError, compose
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["federation.own=tail"], "one of none, heads, trunk, input, normalisation"),
+        (["federation.own=heads", "strategy=none"], "none with strategy=none"),
+        (["federation.own=heads", "strategy=fedadam"], "none with strategy=fedadam"),
+        (["federation.own=heads", "strategy=gossip"], "none with strategy=gossip"),
+        (["federation.own=heads", "experiment=building"], "none in a building"),
+        (["strategy=gossip", "experiment=building"], "any other in a building"),
+        (["experiment=building", "rooms.strategy.name=visits"], "any other across rooms"),
+        (
+            ["federation.own=heads", "baseline=centralized"],
+            "none where robots have no networks",
+        ),
+        (
+            ["federation.own=trunk", "federation.compression.down=q8"],
+            "none with federation.own=trunk: robots are not given one model",
+        ),
+        (
+            ["strategy=gossip", "federation.compression.targets=copied"],
+            "averaged with strategy=gossip: robots are not given one model",
+        ),
+        (["strategy=gossip", "env.robots=1"], "env.robots of at least 2, not 1"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_in_a_sentence(changes, said):
+    with pytest.raises(ConfigError) as refused:
+        compose(changes)
+    message = str(refused.value)
+    assert said in message
+    assert "\n" not in message.strip()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["federation.own=heads", "strategy=krum", "federation.compression.up=q8"],
+        ["federation.own=normalisation", "strategy=fedprox", "agent.dueling=true"],
+        ["strategy=gossip", "strategy.graph=random", "strategy.degree=2", "train.worlds=2"],
+        ["strategy=visits", "agent.dueling=true"],
+    ],
+)
+def test_what_goes_together_is_taken(changes):
+    compose(changes)
