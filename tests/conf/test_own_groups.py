@@ -97,7 +97,7 @@ def test_what_cannot_be_searched_is_refused_in_a_sentence(override: str, says: s
         ("env:\n  robots: 2\n", r"\(is its first line '# @package _global_'\?\)\.$"),
         (
             "# @package _global_\ndefaults:\n  - override /strategy: nix\n",
-            r"Could not find 'strategy/nix': allowed is one of .*, none, own, slow\.$",
+            r"Could not find 'strategy/nix': allowed is one of .*, none, own, slow, visits\.$",
         ),
         ("# @package _global_\nhydra:\n  searchpath: [a]\n", "only supported from the primary"),
     ],
