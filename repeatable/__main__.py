@@ -72,7 +72,8 @@ def _kill(asked: argparse.Namespace) -> int:
     rng = random.Random(asked.seed)
     with tempfile.TemporaryDirectory(prefix="repeatable-") as scratch:
         first = kills.play(task, Path(scratch) / "undisturbed")
-        print(f"undisturbed: {first.rounds} rounds, {first.digest}", flush=True)
+        each = f"{first.rounds} rounds of {first.round_s:.2g} s"
+        print(f"undisturbed: {each}, {first.digest}", flush=True)
         due = kills.schedule(rng, asked.kills, first.rounds, first.round_s)
         deck = Deck(roles, rng)
         second = kills.play(task, Path(scratch) / "killed", due, deck, partial(print, flush=True))

@@ -29,12 +29,12 @@ from experiments.flower import (
     commands,
     control,
     environment,
-    processes,
     superlink,
 )
 from experiments.flower.control import ControlError
 from experiments.flower.manifest import write_manifest, write_run_config
 from experiments.flower.session import Session
+from repeatable import processes
 from repeatable.processes import MARKER, Process, members, terminate
 from training.engine_limits import max_concurrent_clients
 
