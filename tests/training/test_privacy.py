@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from conf import Config, PrivacyConfig, StrategyConfig, compose, problems
 from env.seeding import Stream, stream
+from experiments.cli import main
 from experiments.runtimes import local
 from training.aggregation.privacy import drawing_from
 from training.aggregation.strategies import build_aggregator
@@ -220,6 +222,23 @@ def test_a_run_repeats_and_says_what_it_has_spent(kind, tiny, tmp_path):
     assert summary["digest"] == again["digest"]
     assert summary["privacy"]["mechanism"] == kind
     assert summary["privacy"]["epsilon"] == spent(config, 4)["epsilon"]
+
+
+@pytest.mark.parametrize("kind", ["adaptive", "local"])
+def test_a_private_run_that_goes_on_ends_in_the_same_bits(kind, tiny_overrides, tmp_path):
+    private = (*tiny_overrides, f"strategy/dp={kind}", "strategy.dp.noise=0.1", "state.every=2")
+
+    def train(name, *changes):
+        assert main(["train", *changes, f"run.dir={tmp_path / name}"]) == 0
+
+    train("whole", *private, "train.max_ticks=60")
+    train("short", *private, "train.max_ticks=30")
+    assert main(["train", f"resume={tmp_path / 'short'}", "train.max_ticks=60"]) == 0
+    whole, short = (
+        json.loads((tmp_path / name / "summary.json").read_text()) for name in ("whole", "short")
+    )
+    assert short["digest"] == whole["digest"]
+    assert short["privacy"] == whole["privacy"]
 
 
 @pytest.mark.parametrize(
