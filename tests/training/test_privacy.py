@@ -176,6 +176,13 @@ def test_epsilon_is_that_of_the_analytic_gaussian_mechanism():
     assert epsilon_of(1 / 3.730632, 1e-5) == pytest.approx(1.0, abs=1e-6)
 
 
+def test_epsilon_is_that_of_privacy_loss_distributions_and_below_renyis_bound():
+    """As ``dp-accounting`` gives them: for mu = 1 its two accountants, for mu = 200 the bound."""
+    assert epsilon_of(1.0, 1e-5) == pytest.approx(4.3771781, abs=1e-6)
+    assert epsilon_of(1.0, 1e-5) < 4.728507
+    assert 0.9 * 22111.778 < epsilon_of(200.0, 1e-5) < 22111.778
+
+
 @given(st.floats(1e-2, 1e5), st.floats(1e-12, 0.4))
 def test_epsilon_keeps_its_delta_and_what_looser_bounds_promise(mu, delta):
     epsilon = epsilon_of(mu, delta)
