@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from conf import Config, PrivacyConfig, StrategyConfig, compose, problems
 from env.seeding import Stream, stream
+from experiments.cli import main
 from experiments.runtimes import local
 from training.aggregation.privacy import drawing_from
 from training.aggregation.strategies import build_aggregator
@@ -174,6 +176,13 @@ def test_epsilon_is_that_of_the_analytic_gaussian_mechanism():
     assert epsilon_of(1 / 3.730632, 1e-5) == pytest.approx(1.0, abs=1e-6)
 
 
+def test_epsilon_is_that_of_privacy_loss_distributions_and_below_renyis_bound():
+    """As ``dp-accounting`` gives them: for mu = 1 its two accountants, for mu = 200 the bound."""
+    assert epsilon_of(1.0, 1e-5) == pytest.approx(4.3771781, abs=1e-6)
+    assert epsilon_of(1.0, 1e-5) < 4.728507
+    assert 0.9 * 22111.778 < epsilon_of(200.0, 1e-5) < 22111.778
+
+
 @given(st.floats(1e-2, 1e5), st.floats(1e-12, 0.4))
 def test_epsilon_keeps_its_delta_and_what_looser_bounds_promise(mu, delta):
     epsilon = epsilon_of(mu, delta)
@@ -220,6 +229,23 @@ def test_a_run_repeats_and_says_what_it_has_spent(kind, tiny, tmp_path):
     assert summary["digest"] == again["digest"]
     assert summary["privacy"]["mechanism"] == kind
     assert summary["privacy"]["epsilon"] == spent(config, 4)["epsilon"]
+
+
+@pytest.mark.parametrize("kind", ["adaptive", "local"])
+def test_a_private_run_that_goes_on_ends_in_the_same_bits(kind, tiny_overrides, tmp_path):
+    private = (*tiny_overrides, f"strategy/dp={kind}", "strategy.dp.noise=0.1", "state.every=2")
+
+    def train(name, *changes):
+        assert main(["train", *changes, f"run.dir={tmp_path / name}"]) == 0
+
+    train("whole", *private, "train.max_ticks=60")
+    train("short", *private, "train.max_ticks=30")
+    assert main(["train", f"resume={tmp_path / 'short'}", "train.max_ticks=60"]) == 0
+    whole, short = (
+        json.loads((tmp_path / name / "summary.json").read_text()) for name in ("whole", "short")
+    )
+    assert short["digest"] == whole["digest"]
+    assert short["privacy"] == whole["privacy"]
 
 
 @pytest.mark.parametrize(
