@@ -47,6 +47,8 @@ def cost_of_all_s(name: str, quick: bool) -> float:
         pytest.param("optimality", False, marks=pytest.mark.slow),
         ("ablations", True),
         pytest.param("ablations", False, marks=pytest.mark.slow),
+        pytest.param("bytes", False, marks=pytest.mark.slow),
+        pytest.param("airtime", False, marks=pytest.mark.slow),
     ],
 )
 def test_every_cell_composes_and_differs_from_the_others(name: str, quick: bool) -> None:
