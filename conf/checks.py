@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from agent import config as agent
-from conf import room_checks, scheme_checks, strategy_checks
+from conf import room_checks, scheme_checks, strategy_checks, upload_checks
 from conf.schema import Config, has_rooms
 from env import validate
 from env.config_checks import RULES as ENV_RULES
@@ -75,5 +75,6 @@ RULES = (
     _destination_rules,
     strategy_checks.rules,
     room_checks.rules,
+    upload_checks.rules,
 )
 """Each counts on those before it."""

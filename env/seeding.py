@@ -26,6 +26,9 @@ class Stream(IntEnum):
     ROOM = 9
     HELD_OUT_ROOM = 10
     PARTICIPATION = 11
+    LOSSES = 16
+    HEARD = 17
+    ATTACK = 18
 
 
 def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:

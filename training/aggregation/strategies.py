@@ -8,7 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from flwr.serverapp.strategy import FedAdam, FedAvg, FedAvgM, FedMedian, FedProx, Krum, Strategy
+from flwr.serverapp.strategy import (
+    Bulyan,
+    FedAdam,
+    FedAvg,
+    FedAvgM,
+    FedMedian,
+    FedProx,
+    FedTrimmedAvg,
+    Krum,
+    MultiKrum,
+    Strategy,
+)
 
 from conf import StrategyConfig
 from training.aggregation.aggregator import Aggregator, Scope
@@ -49,6 +60,14 @@ def _krum(config: StrategyConfig) -> FedAvg:
     return Krum(num_malicious_nodes=config.malicious)
 
 
+def _multikrum(config: StrategyConfig) -> FedAvg:
+    return MultiKrum(num_malicious_nodes=config.malicious, num_nodes_to_select=config.selected)
+
+
+def _bulyan(config: StrategyConfig) -> FedAvg:
+    return Bulyan(num_malicious_nodes=config.malicious)
+
+
 def _fedavgm(config: StrategyConfig) -> FedAvg:
     return FedAvgM(server_learning_rate=config.server_rate, server_momentum=config.momentum)
 
@@ -63,13 +82,20 @@ def _fedmedian(config: StrategyConfig) -> FedAvg:
     return FedMedian()
 
 
+def _fedtrimmedavg(config: StrategyConfig) -> FedAvg:
+    return FedTrimmedAvg(beta=config.trim)
+
+
 STRATEGIES: dict[str, Callable[[StrategyConfig], Strategy] | None] = {
     "fedavg": _fedavg,
     "fedavgm": _fedavgm,
     "fedadam": _fedadam,
     "fedmedian": _fedmedian,
+    "fedtrimmedavg": _fedtrimmedavg,
     "fedprox": _fedprox,
     "krum": _krum,
+    "multikrum": _multikrum,
+    "bulyan": _bulyan,
     "own": own_strategy,
     "none": None,
 }

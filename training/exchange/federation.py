@@ -50,7 +50,7 @@ class Federation:
     """
 
     def __init__(self, config: Config, aggregator: Aggregator) -> None:
-        self._aggregator, self._reception = aggregator, Reception()
+        self._aggregator, self._reception = aggregator, Reception(config)
         self._up, self._down = packing(config, robot_network(config).parameters)
         self._sender = None if self._down is None else PackedSender(self._down)
 
@@ -94,14 +94,25 @@ class Federation:
         payload = self._sender.send(before, model)
         return Exchanged(self._down.added(before, payload), payload)
 
+    def uploads(self) -> dict[str, int]:
+        """How many uploads so far were heard, late, lost and not asked for."""
+        return self._reception.counts()
+
     def state(self) -> dict[str, NDArray[Any]]:
         """All that it keeps between windows."""
         sender = {} if self._sender is None else self._sender.state()
-        return flat({"strategy": self._aggregator.state(), "sender": sender})
+        return flat(
+            {
+                "strategy": self._aggregator.state(),
+                "sender": sender,
+                "reception": self._reception.state(),
+            }
+        )
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
         self._aggregator.restore(part(state, "strategy"))
+        self._reception.restore(part(state, "reception"))
         if self._sender is not None:
             self._sender.restore(part(state, "sender"))
 

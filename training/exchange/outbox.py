@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from conf import Config
 from lockstep import Payload
+from training.exchange.attacks import attack_of
 from training.exchange.packing import PackedSender, packing
 
 Weights = NDArray[np.float32]
@@ -101,7 +102,8 @@ class Outbox:
 
 def changes_of(config: Config, robot: int) -> list[tuple[str, Change]]:
     """What a robot does to its weights before they leave it, in order."""
-    return []
+    attack = attack_of(config, robot)
+    return [] if attack is None else [("attack", attack)]
 
 
 def outboxes(config: Config, robots: Sequence[int], parameters: int) -> list[Outbox]:
