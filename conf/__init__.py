@@ -16,7 +16,9 @@ from conf.networks import (
     weight_shapes,
 )
 from conf.schema import (
+    AttackConfig,
     Config,
+    LossesConfig,
     SchemeConfig,
     StrategyConfig,
     flower_clients,
@@ -27,8 +29,10 @@ from conf.schema import (
 )
 
 __all__ = [
+    "AttackConfig",
     "Config",
     "ConfigError",
+    "LossesConfig",
     "SchemeConfig",
     "StrategyConfig",
     "ap_actions",

@@ -13,7 +13,17 @@ from conf import Config, fingerprint, to_yaml
 from experiments.reproduce.results.runs import Runs
 from training.preflight import checked_training
 
-TARGETS = ("fig3", "fig4", "fig5", "ablations", "claims", "optimality", "building")
+TARGETS = (
+    "fig3",
+    "fig4",
+    "fig5",
+    "ablations",
+    "claims",
+    "optimality",
+    "building",
+    "losses",
+    "attacks",
+)
 """Each a module beside this one, with its ``TARGET``."""
 
 
