@@ -16,7 +16,9 @@ from conf.networks import (
     weight_shapes,
 )
 from conf.schema import (
+    AttackConfig,
     Config,
+    LossesConfig,
     PrivacyConfig,
     SchemeConfig,
     StrategyConfig,
@@ -28,8 +30,10 @@ from conf.schema import (
 )
 
 __all__ = [
+    "AttackConfig",
     "Config",
     "ConfigError",
+    "LossesConfig",
     "PrivacyConfig",
     "SchemeConfig",
     "StrategyConfig",

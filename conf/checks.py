@@ -6,7 +6,14 @@ import re
 from collections.abc import Iterator
 
 from agent import config as agent
-from conf import exchange_checks, own_checks, room_checks, scheme_checks, strategy_checks
+from conf import (
+    exchange_checks,
+    own_checks,
+    room_checks,
+    scheme_checks,
+    strategy_checks,
+    upload_checks,
+)
 from conf.schema import Config, has_rooms
 from env import validate
 from env.config_checks import RULES as ENV_RULES
@@ -77,5 +84,6 @@ RULES = (
     room_checks.rules,
     exchange_checks.rules,
     own_checks.rules,
+    upload_checks.rules,
 )
 """Each counts on those before it."""

@@ -25,7 +25,16 @@ from conf.user_paths import LISTED, PATHS, with_quoted_path
 from env.validate import hints_of, refused
 
 FOLDER = Path(__file__).parent
-GROUPS = ("env", "agent", "strategy", "strategy/dp", "runtime", "baseline", "experiment")
+GROUPS = (
+    "env",
+    "agent",
+    "strategy",
+    "strategy/dp",
+    "attack",
+    "runtime",
+    "baseline",
+    "experiment",
+)
 PLACES = ("hydra.sweep.dir", "hydra.sweep.subdir", "hydra.run.dir")
 
 

@@ -50,8 +50,12 @@ def rules(config: Config) -> Iterator[Problem]:
     if rooms.strategy.name == "fedprox":
         say = "any other across rooms: the proximal term is that of strategy, inside a room"
         yield "rooms.strategy.name", "fedprox", say
-    if rooms.strategy.name == "krum" and on_loss == "miss":
-        yield "federation.on_loss", "miss", "wait or abort with Krum, which needs its full number"
+    if rooms.strategy.name in strategy_checks.FULL_NUMBER and on_loss == "miss":
+        yield (
+            "federation.on_loss",
+            "miss",
+            f"wait or abort with {rooms.strategy.name}, which needs all",
+        )
     count = taking_part(config)
     counted = "rooms.count" if count == rooms.count else "rooms.fraction * rooms.count"
     for key, value, say in strategy_checks.problems(rooms.strategy, count, counted):

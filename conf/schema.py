@@ -44,7 +44,13 @@ class StrategyConfig:
 
     name: str = "fedavg"
     proximal_mu: Annotated[NotNegative, "mu, fedprox"] = 0.0
-    malicious: Annotated[int, Ge(0), "f, krum: how many robots may upload anything at all"] = 0
+    malicious: Annotated[
+        int, Ge(0), "f, krum, multikrum, bulyan: how many robots may upload anything at all"
+    ] = 0
+    selected: Annotated[int, Ge(1), "m, multikrum: how many uploads are averaged"] = 1
+    trim: Annotated[
+        float, Interval(ge=0, lt=0.5), "beta, fedtrimmedavg: share cut off at either end"
+    ] = 0.0
     server_rate: Annotated[
         float, Interval(gt=0, le=10), "eta, fedavgm and fedadam: how far the server steps"
     ] = 1.0
@@ -68,6 +74,21 @@ class StrategyConfig:
     degree: Annotated[
         int, Interval(ge=1, le=MAX_ROBOTS), "gossip on a random graph: whom each robot picks"
     ] = 1
+
+
+@dataclass(frozen=True)
+class AttackConfig:
+    """What hostile robots, the last ones, upload; they drive and learn as the others do."""
+
+    name: Annotated[
+        str, Literal["none", "noise", "flip", "scale", "stale"], "see training/exchange/attacks.py"
+    ] = "none"
+    robots: Annotated[int, Ge(0), "how many are hostile: robots K - robots to K - 1"] = 0
+    scale: Annotated[
+        float,
+        Interval(gt=0, le=1000),
+        "noise, flip, scale: length of the false step, in honest ones",
+    ] = 1.0
 
 
 @dataclass(frozen=True)
@@ -154,6 +175,21 @@ class AirtimeConfig:
 
 
 @dataclass(frozen=True)
+class LossesConfig:
+    """Uploads that do not come, or late; all robots go on driving, learning and hearing."""
+
+    probability: Annotated[
+        float, Interval(ge=0, le=1), "that an upload is lost, each by itself"
+    ] = 0.0
+    outage_db: Annotated[
+        float | None, "10 lg|h|^2 at a window's end below which a robot's upload is lost"
+    ] = None
+    late: Annotated[
+        float, Interval(ge=0, le=1), "probability that one comes a window late, of those not lost"
+    ] = 0.0
+
+
+@dataclass(frozen=True)
 class FederationConfig:
     """How robots are dealt to Flower clients and how often weights are averaged."""
 
@@ -180,6 +216,10 @@ class FederationConfig:
     ] = "none"
     compression: CompressionConfig = field(default_factory=CompressionConfig)
     airtime: AirtimeConfig = field(default_factory=AirtimeConfig)
+    fraction: Annotated[
+        float, Interval(gt=0, le=1), "C: share of the robots asked to upload, drawn each window"
+    ] = 1.0
+    losses: LossesConfig = field(default_factory=LossesConfig)
     link: LinkConfig = field(default_factory=LinkConfig)
 
 
@@ -254,6 +294,7 @@ class Config:
     env: EnvConfig = field(default_factory=EnvConfig)
     agent: AgentConfig = field(default_factory=AgentConfig)
     strategy: StrategyConfig = field(default_factory=StrategyConfig)
+    attack: AttackConfig = field(default_factory=AttackConfig)
     scheme: SchemeConfig = field(default_factory=SchemeConfig)
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
     train: TrainConfig = field(default_factory=TrainConfig)

@@ -15,9 +15,12 @@ KEYS: dict[str, frozenset[str]] = {
     "fedavgm": frozenset({"server_rate", "momentum"}),
     "fedadam": frozenset({"server_rate", "beta_1", "beta_2", "tau"}),
     "fedmedian": frozenset(),
+    "fedtrimmedavg": frozenset({"trim"}),
     "fedprox": frozenset({"proximal_mu"}),
     "gossip": frozenset({"graph", "degree"}),
     "krum": frozenset({"malicious"}),
+    "multikrum": frozenset({"malicious", "selected"}),
+    "bulyan": frozenset({"malicious"}),
     "own": frozenset({"target", "options", "scope"}),
     "visits": frozenset(),
     "none": frozenset(),
@@ -34,6 +37,10 @@ PRIVACY_KEYS: dict[str, frozenset[str]] = {
 
 MEANS = ("fedavg", "fedprox")
 """Strategies whose result moves by at most C / K where one of K steps of norm C is taken out."""
+
+
+FULL_NUMBER = frozenset({"krum", "multikrum", "bulyan"})
+"""Those whose bound on hostile uploads is one on how many there are, so that none may miss."""
 
 
 def rules(config: Config) -> Iterator[Problem]:
@@ -108,6 +115,24 @@ def _krum(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]
         yield "strategy.malicious", config.malicious, allowed
 
 
+def _multikrum(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
+    """Krum's bound, and no more uploads than may be honest."""
+    yield from _krum(config, count, counted)
+    if config.selected > count - config.malicious:
+        allowed = f"from 1 to {counted} - malicious = {count - config.malicious}"
+        yield "strategy.selected", config.selected, allowed
+
+
+def _bulyan(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
+    """Bulyan needs K >= 4f + 3 (El Mhamdi et al., 2018, section 4); Flower's skips otherwise."""
+    most = (count - 3) // 4
+    if most < 0:
+        yield "strategy.name", config.name, f"{counted} of at least 3, not {count}"
+    elif config.malicious > most:
+        allowed = f"from 0 to {most}: Bulyan needs {counted}={count} to be at least 4 malicious + 3"
+        yield "strategy.malicious", config.malicious, allowed
+
+
 def _fedadam(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     """What Reddi et al., 2021, Algorithm 2 allows."""
     if not config.tau > 0:
@@ -135,5 +160,7 @@ _RULES: dict[str, Callable[[StrategyConfig, int, str], Iterator[Problem]]] = {
     "fedprox": _fedprox,
     "gossip": _gossip,
     "krum": _krum,
+    "multikrum": _multikrum,
+    "bulyan": _bulyan,
     "own": _own,
 }

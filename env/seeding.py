@@ -28,6 +28,9 @@ class Stream(IntEnum):
     PARTICIPATION = 11
     PRIVACY = 12
     LOCAL_NOISE = 13
+    LOSSES = 16
+    HEARD = 17
+    ATTACK = 18
     GOSSIP = 19
 
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ from training.recording.history import evaluate
 from training.recording.recorder import Recorder
 from training.recording.summary import summarise
 from training.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from training.exchange.federation import Federation
 
 FINAL_EPSILON = 0.05
 
@@ -134,7 +137,7 @@ class TrainingRun:
                 self.recorder.on_start()
             trained_s = self.recorder.end_training()
             self.recorder.report("finishing", run.progress)
-            summary = self._finish(run, robots, trained_s)
+            summary = self._finish(run, robots, trained_s, federation)
             self.recorder.finish(summary)
             self.recorder.report("done", run.progress)
         except BaseException:
@@ -168,7 +171,11 @@ class TrainingRun:
         self.recorder.checkpoint = window
 
     def _finish(
-        self, run: Coordinator, robots: NDArray[np.float32], trained_s: float
+        self,
+        run: Coordinator,
+        robots: NDArray[np.float32],
+        trained_s: float,
+        federation: Federation | None,
     ) -> dict[str, Any]:
         """Evaluates the final weights, and writes weights, summary and figures."""
         ap = self.ap.weights()
@@ -197,6 +204,8 @@ class TrainingRun:
                 "waiting": waiting(clients),
             },
             "losses": self.losses,
+            "uploads": None if federation is None else federation.uploads(),
+            "arrivals": found.arrivals.tolist(),
         }
         if self._airtime is not None:
             summary["airtime"] = self._airtime.summary(summary["evaluation"]["last5"])

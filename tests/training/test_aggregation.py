@@ -485,12 +485,24 @@ def test_the_default_is_the_papers_plain_mean() -> None:
 @pytest.mark.parametrize(
     ("config", "robots", "key", "allowed"),
     [
-        (StrategyConfig(name="fedsgd"), 3, "strategy.name", "krum, own, visits, none"),
+        (
+            StrategyConfig(name="fedsgd"),
+            3,
+            "strategy.name",
+            "krum, multikrum, bulyan, own, visits, none",
+        ),
         (StrategyConfig(name="krum"), 2, "strategy.name", "env.robots of at least 3, not 2"),
         (StrategyConfig(name="krum", malicious=2), 5, "strategy.malicious", "from 0 to 1"),
+        (StrategyConfig(name="bulyan", malicious=1), 6, "strategy.malicious", "from 0 to 0"),
+        (StrategyConfig(name="multikrum", selected=4), 3, "strategy.selected", "from 1 to"),
         (StrategyConfig(name="fedprox"), 3, "strategy.proximal_mu", "above 0"),
         (StrategyConfig(proximal_mu=0.1), 3, "strategy.proximal_mu", "only fedprox reads it"),
-        (StrategyConfig(name="none", malicious=1), 3, "strategy.malicious", "only krum reads it"),
+        (
+            StrategyConfig(name="none", malicious=1),
+            3,
+            "strategy.malicious",
+            "only krum or multikrum or bulyan reads it",
+        ),
         (StrategyConfig(server_rate=0.5), 3, "strategy.server_rate", "only fedavgm or fedadam"),
         (StrategyConfig(name="fedmedian", tau=0.1), 3, "strategy.tau", "only fedadam reads it"),
         (StrategyConfig(name="fedavgm", beta_1=0.9), 3, "strategy.beta_1", "only fedadam reads it"),

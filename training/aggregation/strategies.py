@@ -9,7 +9,18 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
-from flwr.serverapp.strategy import FedAdam, FedAvg, FedAvgM, FedMedian, FedProx, Krum, Strategy
+from flwr.serverapp.strategy import (
+    Bulyan,
+    FedAdam,
+    FedAvg,
+    FedAvgM,
+    FedMedian,
+    FedProx,
+    FedTrimmedAvg,
+    Krum,
+    MultiKrum,
+    Strategy,
+)
 
 from conf import StrategyConfig
 from env.seeding import Stream, stream
@@ -69,6 +80,14 @@ def _krum(config: StrategyConfig) -> FedAvg:
     return Krum(num_malicious_nodes=config.malicious)
 
 
+def _multikrum(config: StrategyConfig) -> FedAvg:
+    return MultiKrum(num_malicious_nodes=config.malicious, num_nodes_to_select=config.selected)
+
+
+def _bulyan(config: StrategyConfig) -> FedAvg:
+    return Bulyan(num_malicious_nodes=config.malicious)
+
+
 def _fedavgm(config: StrategyConfig) -> FedAvg:
     return FedAvgM(server_learning_rate=config.server_rate, server_momentum=config.momentum)
 
@@ -83,14 +102,21 @@ def _fedmedian(config: StrategyConfig) -> FedAvg:
     return FedMedian()
 
 
+def _fedtrimmedavg(config: StrategyConfig) -> FedAvg:
+    return FedTrimmedAvg(beta=config.trim)
+
+
 STRATEGIES: dict[str, Callable[[StrategyConfig], Strategy] | None] = {
     "fedavg": _fedavg,
     "fedavgm": _fedavgm,
     "fedadam": _fedadam,
     "fedmedian": _fedmedian,
+    "fedtrimmedavg": _fedtrimmedavg,
     "fedprox": _fedprox,
     "gossip": None,
     "krum": _krum,
+    "multikrum": _multikrum,
+    "bulyan": _bulyan,
     "own": own_strategy,
     "visits": None,
     "none": None,

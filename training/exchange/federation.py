@@ -52,7 +52,7 @@ class Federation:
     """
 
     def __init__(self, config: Config, combiner: Combiner) -> None:
-        self._combiner, self._reception = combiner, Reception()
+        self._combiner, self._reception = combiner, Reception(config)
         self._up, self._down = packing(config, robot_network(config).parameters)
         self._sender = None if self._down is None else PackedSender(self._down)
         self._hear, self.airtime = config.federation.hear, Airtime(config)
@@ -105,15 +105,26 @@ class Federation:
         payload = self._sender.send(before, model)
         return Exchanged(self._down.added(before, payload), payload)
 
+    def uploads(self) -> dict[str, int]:
+        """How many uploads so far were heard, late, lost and not asked for."""
+        return self._reception.counts()
+
     def state(self) -> dict[str, NDArray[Any]]:
         """All that it keeps between windows."""
         sender = {} if self._sender is None else self._sender.state()
-        airtime = self.airtime.state()
-        return flat({"combiner": self._combiner.state(), "sender": sender, "airtime": airtime})
+        return flat(
+            {
+                "combiner": self._combiner.state(),
+                "sender": sender,
+                "reception": self._reception.state(),
+                "airtime": self.airtime.state(),
+            }
+        )
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
         self._combiner.restore(part(state, "combiner"))
+        self._reception.restore(part(state, "reception"))
         self.airtime.restore(part(state, "airtime"))
         if self._sender is not None:
             self._sender.restore(part(state, "sender"))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from conf import Config
 from lockstep import Payload
+from training.exchange.attacks import attack_of
 from training.exchange.packing import PackedSender, packing
 from training.exchange.privacy import LocalPrivacy
 
@@ -102,10 +103,12 @@ class Outbox:
 
 def changes_of(config: Config, robot: int) -> list[tuple[str, Change]]:
     """What a robot does to its weights before they leave it, in order."""
-    changes: list[tuple[str, Change]] = []
+    attack = attack_of(config, robot)
+    if attack is not None:  # whoever is hostile does not keep to the rules of privacy
+        return [("attack", attack)]
     if config.strategy.dp.name == "local":
-        changes.append(("privacy", LocalPrivacy(config, robot)))
-    return changes
+        return [("privacy", LocalPrivacy(config, robot))]
+    return []
 
 
 def outboxes(config: Config, robots: Sequence[int], parameters: int) -> list[Outbox]:

@@ -82,11 +82,13 @@ class Evaluation:
     Attributes:
         explored: measures with exploration, the path ratio that of the greedy ones.
         greedy: measures without.
+        arrivals: share of the greedy episodes in which each robot arrives, shape (K,).
         episode: the first greedy episode, as ``training.trace.recorded`` gives it.
     """
 
     explored: dict[str, float]
     greedy: dict[str, float]
+    arrivals: NDArray[np.float64]
     episode: dict[str, Any]
 
 
@@ -109,5 +111,6 @@ def evaluate(
     return Evaluation(
         {**explored.summary(), "epsilon": epsilon, "path_ratio": found["path_ratio"]},
         {**found, "epsilon": 0.0},
+        np.isfinite(greedy.path_ratio).mean(axis=0),
         recorded(trace, evaluator.world, greedy),
     )

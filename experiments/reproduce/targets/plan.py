@@ -25,6 +25,8 @@ TARGETS = (
     "bytes",
     "airtime",
     "heterogeneity",
+    "losses",
+    "attacks",
 )
 """Each a module beside this one, with its ``TARGET``."""
 
