@@ -21,7 +21,7 @@ class PrivacyConfig:
     name: Annotated[
         str,
         Literal["none", "central", "adaptive", "local"],
-        "noise on the mean, adaptive: with a clip that adapts; or local: on each upload",
+        "who adds noise: the server to the mean, with a fixed or adaptive clip, or each robot",
     ] = "none"
     clip: Annotated[
         float, Interval(gt=0, le=1e6), "C: largest norm of a window's step; adaptive: its first"

@@ -41,14 +41,15 @@ def spent(config: Config, releases: int) -> dict[str, Any] | None:
         releases: windows, whether or not a robot was heard in each.
 
     Returns:
-        Words and numbers; ``epsilon`` is None where there is no noise.
+        Words and numbers; ``epsilon`` is None where there is no noise, or as good as none.
     """
     dp = config.strategy.dp
     if dp.name == "none":
         return None
     epsilon = None
     if dp.noise > 0 and releases > 0:
-        epsilon = epsilon_of(_SENSITIVITY[dp.name] * math.sqrt(releases) / dp.noise, dp.delta)
+        found = epsilon_of(_SENSITIVITY[dp.name] * math.sqrt(releases) / dp.noise, dp.delta)
+        epsilon = found if math.isfinite(found) else None
     return {
         "mechanism": dp.name,
         "unit": UNITS[dp.name],
@@ -66,21 +67,27 @@ def epsilon_of(mu: float, delta: float) -> float:
         mu: how far one robot moves the result, in deviations of its noise; above 0.
         delta: above 0, below 1.
     """
-    low, high = 0.0, mu * mu / 2 + mu * math.sqrt(2 * math.log(1 / delta))  # Bun and Steinke, 2016
+    low, high = -mu / 2, math.sqrt(2 * math.log(1 / delta))  # above: Bun and Steinke, 2016
     for _ in range(_STEPS):
         middle = (low + high) / 2
-        low, high = (middle, high) if delta_of(mu, middle) > delta else (low, middle)
-    return high
+        low, high = (middle, high) if _delta(mu, middle) > delta else (low, middle)
+    return mu * (high + mu / 2)
 
 
 def delta_of(mu: float, epsilon: float) -> float:
     """The delta of a Gaussian mechanism at an epsilon; arguments as ``epsilon_of``."""
-    first = _log_tail(epsilon / mu - mu / 2)
-    return math.exp(first) - math.exp(epsilon + _log_tail(epsilon / mu + mu / 2))
+    return _delta(mu, epsilon / mu - mu / 2)
 
 
-def _log_tail(x: float) -> float:
-    """The logarithm of the probability that a standard normal number is above ``x``."""
+def _delta(mu: float, y: float) -> float:
+    """The same at epsilon = mu (y + mu/2), without numbers that grow with it."""
+    x = y + mu
     if x < 30:
-        return math.log(math.erfc(x / math.sqrt(2)) / 2)
-    return -x * x / 2 - math.log(x * math.sqrt(2 * math.pi)) + math.log1p(-1 / (x * x))
+        return _tail(y) - math.exp((x * x - y * y) / 2) * _tail(x)
+    mills = (1 - 1 / (x * x)) / (x * math.sqrt(2 * math.pi))  # to 3 / x^4
+    return _tail(y) - math.exp(-y * y / 2) * mills
+
+
+def _tail(x: float) -> float:
+    """The probability that a standard normal number is above ``x``."""
+    return math.erfc(x / math.sqrt(2)) / 2
