@@ -40,7 +40,7 @@ def test_defaults_stand_in_the_schemas_alone():
     chosen = read("config.yaml")
     groups = {key for item in chosen.pop("defaults") if isinstance(item, dict) for key in item}
     assert groups == {
-        "env", "agent", "strategy", "strategy/dp", "runtime", "baseline", "experiment",
+        "env", "agent", "strategy", "strategy/dp", "attack", "runtime", "baseline", "experiment",
     }  # fmt: skip
     assert chosen == {}
     assert read("env", "default.yaml") == read("agent", "dqn.yaml") == {}
@@ -61,7 +61,7 @@ def test_the_commented_configuration_is_the_configuration():
     assert "fading: static # one of static, none, slot; of the direct channel" in text
 
 
-@pytest.mark.parametrize("group", ["strategy", "runtime"])
+@pytest.mark.parametrize("group", ["strategy", "attack", "runtime"])
 def test_each_choice_has_the_name_of_its_file_and_known_keys(group):
     known = {field.name for field in dataclasses.fields(getattr(Config(), group))}
     files = sorted((FOLDER / group).glob("*.yaml"))

@@ -127,7 +127,7 @@ def test_a_run_with_late_uploads_and_a_stale_robot_goes_on_to_the_same_bits(
     )
     given = ["train", *tiny_overrides, *changes]
     assert main([*given, f"run.dir={tmp_path / 'whole'}"]) == 0
-    save, pending = session.save_server, {}
+    save, pending = session.save_server, {}  # type: ignore[attr-defined]
 
     def fatal(writer, state, at, arrays, meta):
         if at == 9:

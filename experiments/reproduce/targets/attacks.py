@@ -63,13 +63,12 @@ class Attacks(Comparison):
     """See the module: a row for each attack, a column for each rule."""
 
     def _write_table(self, path: Path, changes: Sequence[Change]) -> Path:
-        cells = {(each.variant.group, _rule(each)): each.extra[HONEST].value for each in changes}
+        cells = {
+            (each.variant.group, _rule(each)): f"{each.extra[HONEST].value:.2f}" for each in changes
+        }
+        groups = dict.fromkeys(each.variant.group for each in changes)
         rows: list[Row] = [
-            (
-                group,
-                *(f"{cells[group, rule]:.2f}" if (group, rule) in cells else "–" for rule in RULES),
-            )
-            for group in dict.fromkeys(each.variant.group for each in changes)
+            (group, *(cells.get((group, rule), "-") for rule in RULES)) for group in groups
         ]
         return write_table(path, ("", *RULES), rows, self.note)
 
