@@ -23,7 +23,7 @@ from training.aggregation.own import register_strategy
 class Watched(Krum):
     """Krum that notes every window: who was picked, and lengths of steps and between uploads."""
 
-    seen: list[tuple[int, float, float]] = []  # noqa: RUF012 - of the one run of this process
+    seen: list[tuple[int, bool, float, float]] = []  # noqa: RUF012 - of the one run of this process
 
     def configure_train(self, server_round: int, arrays: ArrayRecord, *rest: Any) -> Any:
         """Keeps what robots started from."""
@@ -42,7 +42,8 @@ class Watched(Krum):
         steps = np.linalg.norm(rows - self.given[0].ravel(), axis=1)
         apart = np.linalg.norm(rows[:, None] - rows[None], axis=-1)
         pairs = apart[np.triu_indices(len(rows), 1)]
-        self.seen.append((picked, float(steps.mean()), float(pairs.mean())))
+        shortest = picked == int(np.argmin(steps))
+        self.seen.append((picked, shortest, float(steps.mean()), float(pairs.mean())))
         return found
 
 
@@ -59,12 +60,16 @@ def measure(overrides: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         if main(["train", *given, f"run.dir={folder}/run"]):
             raise SystemExit(1)
-    picked, steps, apart = (np.array(column) for column in zip(*Watched.seen, strict=True))
+    picked, shortest, steps, apart = (
+        np.array(column) for column in zip(*Watched.seen, strict=True)
+    )
     there = steps > 0  # windows before learning begins, and the strategy's trial, move nothing
-    picked, steps, apart = picked[there], steps[there], apart[there]
+    picked, shortest = picked[there], shortest[there]
+    steps, apart = steps[there], apart[there]
     print(f"windows: {len(picked)}")
     print("picked, by robot:", np.round(np.bincount(picked, minlength=robots) / len(picked), 2))
     print(f"same robot as in the window before: {np.mean(picked[1:] == picked[:-1]):.2f}")
+    print(f"the robot with the shortest step: {shortest.mean():.2f}")
     print(f"length of a step: {steps.mean():.4f}; between two uploads: {apart.mean():.4f}")
     print(f"ratio (1.41 where steps are orthogonal, 0 where equal): {np.mean(apart / steps):.2f}")
 
