@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from experiments.reproduce.targets.comparison import Comparison, Variant
-from experiments.reproduce.targets.plan import SEEDS
+from experiments.reproduce.targets.plan import THREE_SEEDS
 
 VARIANTS = (
     Variant("one model", "", "FedAvg"),
@@ -21,6 +21,6 @@ TARGET = Comparison(
     "heterogeneity",
     VARIANTS,
     ("experiment=paper_literal", "env.robots=3", "train.episodes=60", "evaluation.every=5"),
-    SEEDS,
+    THREE_SEEDS,
     quick_common=("train.episodes=30",),
 )
