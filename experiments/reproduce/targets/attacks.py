@@ -21,6 +21,7 @@ RULES = {
     "Bulyan": "strategy=bulyan strategy.malicious=1",
 }
 CUT_TWO = " strategy.trim=0.34"  # of six robots
+LEVELS = " env.power.levels=7"  # one for each of seven robots
 ATTACKS = ("none", "noise", "flip", "scale", "stale")
 HONEST = "honest robots' arrivals"
 NOTE = (
@@ -35,7 +36,7 @@ def _variant(robots: int, hostile: int, attack: str, rule: str) -> Variant:
     false = "attack=none" if attack == "none" else f"attack={attack} attack.robots={hostile}"
     return Variant(
         _row(robots, hostile, attack),
-        f"env.robots={robots} {chosen} {false}",
+        f"env.robots={robots} {chosen} {false}" + (LEVELS if robots == 7 else ""),
         f"K={robots} {attack}, {rule}",
         quick=robots == 4 and attack == "flip" and rule in ("mean", "median", "trimmed mean"),
     )
