@@ -7,7 +7,8 @@ from dataclasses import fields
 
 from conf.errors import shown
 from conf.networks import robots_learn
-from conf.schema import CompressionConfig, Config
+from conf.schema import CompressionConfig, Config, LossesConfig
+from conf.strategy_checks import FULL_NUMBER
 from env.validate import Problem
 
 
@@ -34,6 +35,7 @@ def rules(config: Config) -> Iterator[Problem]:
         yield "federation.compression.keep", chosen.keep, say
     if hear is not None:
         yield from _hearing(config, hear)
+    yield from _privacy(config)
 
 
 def _hearing(config: Config, hear: int) -> Iterator[Problem]:
@@ -41,5 +43,25 @@ def _hearing(config: Config, hear: int) -> Iterator[Problem]:
     most = min(config.rooms.robots or [config.env.robots])
     if hear > most:
         yield "federation.hear", hear, f"a number from 1 to the robots there are, {most}, or null"
-    if config.strategy.name == "krum":
-        yield "federation.hear", hear, "null with strategy=krum, which needs its full number"
+    if (name := config.strategy.name) in FULL_NUMBER:
+        yield "federation.hear", hear, f"null with strategy={name}, which needs the uploads of all"
+
+
+def _privacy(config: Config) -> Iterator[Problem]:
+    """Noise at the server is measured for the mean of all robots' steps of a window."""
+    name, federation = config.strategy.dp.name, config.federation
+    if name not in ("central", "adaptive"):
+        return
+    say = f"with strategy/dp={name}: its noise is measured for all robots' steps, one a window"
+    losses, usual = federation.losses, LossesConfig()
+    given: list[tuple[str, object, object]] = [
+        ("federation.hear", federation.hear, None),
+        ("federation.fraction", federation.fraction, 1.0),
+        ("federation.own", federation.own, "none"),
+    ]
+    for item in fields(usual):
+        key = f"federation.losses.{item.name}"
+        given.append((key, getattr(losses, item.name), getattr(usual, item.name)))
+    for key, value, off in given:
+        if value != off:
+            yield key, value, f"{shown(off)} {say}"

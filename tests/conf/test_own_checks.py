@@ -29,6 +29,10 @@ from conf import ConfigError, compose
             ["strategy=gossip", "federation.compression.targets=copied"],
             "averaged with strategy=gossip: robots are not given one model",
         ),
+        (["strategy/dp=central", "federation.own=heads"], "none with strategy/dp=central"),
+        (["strategy/dp=adaptive", "federation.hear=2"], "null with strategy/dp=adaptive"),
+        (["strategy/dp=central", "federation.losses.late=0.1"], "0.0 with strategy/dp=central"),
+        (["strategy=bulyan", "federation.hear=2"], "null with strategy=bulyan"),
         (["strategy=gossip", "env.robots=1"], "env.robots of at least 2, not 1"),
     ],
 )
@@ -47,6 +51,7 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(changes, said):
         ["federation.own=normalisation", "strategy=fedprox", "agent.dueling=true"],
         ["strategy=gossip", "strategy.graph=random", "strategy.degree=2", "train.worlds=2"],
         ["strategy=visits", "agent.dueling=true"],
+        ["strategy/dp=local", "federation.hear=2", "federation.losses.probability=0.5"],
     ],
 )
 def test_what_goes_together_is_taken(changes):

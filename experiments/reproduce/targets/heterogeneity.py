@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from experiments.reproduce.targets.comparison import Comparison, Variant
-from experiments.reproduce.targets.plan import THREE_SEEDS
+from experiments.reproduce.targets.plan import SEEDS
 
 VARIANTS = (
     Variant("one model", "", "FedAvg"),
@@ -21,6 +21,6 @@ TARGET = Comparison(
     "heterogeneity",
     VARIANTS,
     ("experiment=paper_literal", "env.robots=3", "train.episodes=60", "evaluation.every=5"),
-    THREE_SEEDS,
+    SEEDS,
     quick_common=("train.episodes=30",),
 )

@@ -25,6 +25,7 @@ TARGETS = (
     "bytes",
     "airtime",
     "heterogeneity",
+    "gossip",
     "losses",
     "attacks",
 )
