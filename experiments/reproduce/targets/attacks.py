@@ -81,7 +81,7 @@ def _rule(change: Change) -> str:
 TARGET = Attacks(
     "attacks",
     _variants(),
-    ("train.max_ticks=15000", "train.episodes=100000"),
+    ("train.max_ticks=10000", "train.episodes=100000"),
     QUICK_SEEDS,
     quick_common=("train.max_ticks=5000",),
     extra={HONEST: honest_arrivals},
