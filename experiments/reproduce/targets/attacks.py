@@ -27,7 +27,8 @@ HONEST = "honest robots' arrivals"
 NOTE = (
     "Share of greedy episodes from held-out starts, after training, in which an honest robot"
     " arrives: the interquartile mean over two seeds. All robots then hold the same model. A dash:"
-    " not run. Bulyan needs K >= 4f + 3: with 4 and 6 robots f = 0, where it is the mean."
+    " not run; of four robots the trimmed mean is the median. Bulyan needs K >= 4f + 3: with 4 and"
+    " 6 robots f = 0, where it is the mean."
 )
 
 
@@ -38,7 +39,7 @@ def _variant(robots: int, hostile: int, attack: str, rule: str) -> Variant:
         _row(robots, hostile, attack),
         f"env.robots={robots} {chosen} {false}" + (LEVELS if robots == 7 else ""),
         f"K={robots} {attack}, {rule}",
-        quick=robots == 4 and attack == "flip" and rule in ("mean", "median", "trimmed mean"),
+        quick=robots == 4 and attack == "flip" and rule in ("mean", "median"),
     )
 
 
@@ -48,7 +49,8 @@ def _row(robots: int, hostile: int, attack: str) -> str:
 
 def _variants() -> list[Variant]:
     four = ("mean", "median", "trimmed mean", "Krum")
-    found = [_variant(4, 1, attack, rule) for attack in ATTACKS for rule in four]
+    three = ("mean", "median", "Krum")
+    found = [_variant(4, 1, attack, rule) for attack in ATTACKS for rule in three]
     found += [_variant(4, 1, attack, "Multi-Krum") for attack in ("none", "flip")]
     found += [_variant(6, 2, attack, rule) for attack in ("none", "flip") for rule in four]
     return found + [_variant(7, 1, "flip", rule) for rule in ("mean", "Bulyan")]
