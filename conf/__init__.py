@@ -3,6 +3,7 @@
 from conf.checks import problems
 from conf.compose import compose, from_yaml, overridden, register_schema, to_yaml
 from conf.errors import ConfigError
+from conf.exchange_schema import AttackConfig, LossesConfig, PrivacyConfig
 from conf.fingerprint import fingerprint, version
 from conf.networks import (
     ap_actions,
@@ -16,10 +17,7 @@ from conf.networks import (
     weight_shapes,
 )
 from conf.schema import (
-    AttackConfig,
     Config,
-    LossesConfig,
-    PrivacyConfig,
     SchemeConfig,
     StrategyConfig,
     flower_clients,

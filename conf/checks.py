@@ -12,7 +12,6 @@ from conf import (
     room_checks,
     scheme_checks,
     strategy_checks,
-    upload_checks,
 )
 from conf.schema import Config, has_rooms
 from env import validate
@@ -84,6 +83,5 @@ RULES = (
     room_checks.rules,
     exchange_checks.rules,
     own_checks.rules,
-    upload_checks.rules,
 )
 """Each counts on those before it."""

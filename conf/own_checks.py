@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from conf.exchange_schema import CompressionConfig
 from conf.networks import robots_learn
-from conf.schema import CompressionConfig, Config, has_rooms
+from conf.schema import Config, has_rooms
 from env.validate import Problem
 
 AVERAGES = ("fedavg", "fedprox", "fedmedian", "krum")

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 
 from conf.errors import ConfigError, shown
+from conf.exchange_schema import PrivacyConfig
 from conf.python_values import value_text
-from conf.schema import Config, PrivacyConfig, StrategyConfig
+from conf.schema import Config, StrategyConfig
 from env.validate import Problem
 
 KEYS: dict[str, frozenset[str]] = {
