@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from conf.errors import shown
-from conf.exchange_schema import AttackConfig, CompressionConfig, LossesConfig
+from conf.exchange_schema import AttackConfig, CompressionConfig
 from conf.networks import robots_learn
-from conf.schema import Config, has_rooms
+from conf.schema import Config, FederationConfig, has_rooms
 from conf.strategy_checks import FULL_NUMBER
 from env.validate import Problem
 
@@ -30,8 +30,6 @@ def rules(config: Config) -> Iterator[Problem]:
             value, usual = getattr(chosen, item.name), getattr(default, item.name)
             if value != usual:
                 yield f"federation.compression.{item.name}", value, f"{shown(usual)} {say}"
-        if hear is not None:
-            yield "federation.hear", hear, f"null {say}"
         return
     if chosen.keep != default.keep and "topk" not in (chosen.up, chosen.down):
         say = f"{default.keep} here: only topk reads it, in compression.up or compression.down"
@@ -42,12 +40,10 @@ def rules(config: Config) -> Iterator[Problem]:
 
 
 def _hearing(config: Config, hear: int) -> Iterator[Problem]:
-    """Fewer robots than there are, and a strategy that takes fewer."""
+    """Fewer robots than there are."""
     most = min(config.rooms.robots or [config.env.robots])
     if hear > most:
         yield "federation.hear", hear, f"a number from 1 to the robots there are, {most}, or null"
-    if (name := config.strategy.name) in FULL_NUMBER:
-        yield "federation.hear", hear, f"null with strategy={name}, which needs the uploads of all"
 
 
 def _privacy(config: Config) -> Iterator[Problem]:
@@ -56,18 +52,23 @@ def _privacy(config: Config) -> Iterator[Problem]:
     if name not in ("central", "adaptive"):
         return
     say = f"with strategy/dp={name}: its noise is measured for all robots' steps, one a window"
-    losses, usual = federation.losses, LossesConfig()
-    given: list[tuple[str, object, object]] = [
-        ("federation.hear", federation.hear, None),
-        ("federation.fraction", federation.fraction, 1.0),
-        ("federation.own", federation.own, "none"),
-    ]
-    for item in fields(usual):
-        key = f"federation.losses.{item.name}"
-        given.append((key, getattr(losses, item.name), getattr(usual, item.name)))
-    for key, value, off in given:
+    if federation.own != "none":
+        yield "federation.own", federation.own, f"none {say}"
+    for key, value, off in missing_uploads(federation):
+        yield key, value, f"{shown(off)} {say}"
+
+
+def missing_uploads(federation: FederationConfig) -> Iterator[tuple[str, object, object]]:
+    """The keys by which uploads do not come or come late, where they are set: key, value, off."""
+    usual = FederationConfig()
+    for key in ("hear", "fraction"):
+        value, off = getattr(federation, key), getattr(usual, key)
         if value != off:
-            yield key, value, f"{shown(off)} {say}"
+            yield f"federation.{key}", value, off
+    for item in fields(usual.losses):
+        value, off = getattr(federation.losses, item.name), getattr(usual.losses, item.name)
+        if value != off:
+            yield f"federation.losses.{item.name}", value, off
 
 
 def _attack_problems(config: Config) -> Iterator[Problem]:
@@ -91,15 +92,15 @@ def _attack_problems(config: Config) -> Iterator[Problem]:
 
 def _loss_problems(config: Config) -> Iterator[Problem]:
     """Uploads that are missing where nothing, or a strategy that needs all, is to take them."""
-    federation, default = config.federation, LossesConfig()
-    given = [("federation.fraction", federation.fraction, 1.0)]
-    for item in fields(default):
-        value = getattr(federation.losses, item.name)
-        given.append((f"federation.losses.{item.name}", value, getattr(default, item.name)))
-    name = config.strategy.name
-    for key, value, off in given:
-        shown = "null" if off is None else off
-        if value != off and name == "none":
-            yield key, value, f"{shown} with strategy=none: nothing is uploaded"
-        elif value != off and name in FULL_NUMBER:
-            yield key, value, f"{shown} with strategy={name}, which needs the uploads of all"
+    name, federation = config.strategy.name, config.federation
+    for key, value, off in missing_uploads(federation):
+        if name == "none":
+            yield key, value, f"{shown(off)} with strategy=none: nothing is uploaded"
+        elif name in FULL_NUMBER:
+            yield key, value, f"{shown(off)} with strategy={name}, which needs the uploads of all"
+    if federation.hear is not None and federation.fraction < 1:
+        say = "1.0 with federation.hear: either chooses whom the server asks"
+        yield "federation.fraction", federation.fraction, say
+    if name == "visits" and federation.losses.late:
+        say = "0.0 with strategy=visits, which counts by what was visited in the same window"
+        yield "federation.losses.late", federation.losses.late, say

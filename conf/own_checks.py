@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from conf.errors import shown
+from conf.exchange_checks import missing_uploads
 from conf.exchange_schema import CompressionConfig
 from conf.networks import robots_learn
 from conf.schema import Config, has_rooms
@@ -33,6 +35,20 @@ def rules(config: Config) -> Iterator[Problem]:
             if value != allowed:
                 say = f"{allowed} with {who}: robots are not given one model"
                 yield f"federation.compression.{key}", value, say
+        yield from _changed(config, who)
+
+
+def _changed(config: Config, who: str) -> Iterator[Problem]:
+    """What would change or hold back what a robot keeps of its own, for it takes what it sent."""
+    say = f"with {who}: what robots keep comes back as they sent it"
+    if config.federation.compression.up != "none":
+        yield "federation.compression.up", config.federation.compression.up, f"none {say}"
+    if config.strategy.dp.name == "local":
+        yield "strategy.dp.name", "local", f"none {say}"
+    if config.attack.name != "none":
+        yield "attack.name", config.attack.name, f"none {say}"
+    for key, value, off in missing_uploads(config.federation):
+        yield key, value, f"{shown(off)} {say}"
 
 
 def _own_problems(config: Config) -> Iterator[Problem]:

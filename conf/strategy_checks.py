@@ -40,8 +40,8 @@ MEANS = ("fedavg", "fedprox")
 """Strategies whose result moves by at most C / K where one of K steps of norm C is taken out."""
 
 
-FULL_NUMBER = frozenset({"krum", "multikrum", "bulyan"})
-"""Those whose bound on hostile uploads is one on how many there are, so that none may miss."""
+FULL_NUMBER = frozenset({"krum", "multikrum", "bulyan", "fedtrimmedavg"})
+"""Those that leave out so many of the uploads that there are, so that none may miss."""
 
 
 def rules(config: Config) -> Iterator[Problem]:
@@ -93,6 +93,13 @@ def _fedprox(config: StrategyConfig, count: int, counted: str) -> Iterator[Probl
     if not config.proximal_mu > 0:
         allowed = "a number above 0 (without the proximal term it is strategy=fedavg)"
         yield "strategy.proximal_mu", config.proximal_mu, allowed
+
+
+def _fedtrimmedavg(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
+    """Flower cuts int(beta K) uploads off at either end; without one it is the mean."""
+    if int(config.trim * count) == 0:
+        allowed = f"at least 1 / {counted}={count}, which cuts one upload off at either end"
+        yield "strategy.trim", config.trim, allowed
 
 
 def _gossip(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
@@ -159,6 +166,7 @@ def _own(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
 _RULES: dict[str, Callable[[StrategyConfig, int, str], Iterator[Problem]]] = {
     "fedadam": _fedadam,
     "fedprox": _fedprox,
+    "fedtrimmedavg": _fedtrimmedavg,
     "gossip": _gossip,
     "krum": _krum,
     "multikrum": _multikrum,

@@ -102,7 +102,7 @@ def _entered(
 ) -> _Line:
     """Say hello and hear the welcome."""
     hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
-    most = model_size(len(robots), n_parameters)
+    most = model_size(len(robots), n_parameters, layout)
     limit = max(TEXT_SIZE, step_size(len(robots), layout), most)
     line = _Line(FrameStream(sock, limit), timeout_s, layout)
     line.wait_up_to(timeout_s)

@@ -71,9 +71,10 @@ def upload_size(robots: int, parameters: int, layout: Layout) -> int:
     return weights_size((robots, 2, parameters))
 
 
-def model_size(robots: int, parameters: int) -> int:
-    """Bytes of the longest frame that brings so many robots plain models, each its own."""
-    return HEADER.size + max(WEIGHTS.size, RESTORE.size) + 4 * robots * 2 * parameters
+def model_size(robots: int, parameters: int, layout: Layout) -> int:
+    """Bytes of the longest frame that brings so many robots plain models, or a packed one."""
+    longest = max(4 * robots * 2 * parameters, layout.download)
+    return HEADER.size + max(WEIGHTS.size, RESTORE.size) + longest
 
 
 def frame_size(head: memoryview, limit: int) -> int:

@@ -12,12 +12,9 @@ from typing import Any
 from conf import Config, flower_clients, robot_network
 from lockstep.wire_format import actions_size, step_size
 from training.aggregation.gossip import mean_degree
-from training.exchange.own_parts import shared_numbers
-from training.exchange.packing import NETWORKS, packing
+from training.exchange.packing import NUMBER, payload_bytes
+from training.exchange.selection import asked_robots
 from training.partition import partition_robots, step_layout
-
-NUMBER = 4
-"""Bytes of a float32 or int32."""
 
 
 def per_tick(config: Config) -> dict[str, float]:
@@ -31,9 +28,9 @@ def per_tick(config: Config) -> dict[str, float]:
 
         * ``weights``: online and target networks of every robot, up once and down once a window of
           N_F ticks, a tick's share. Payload only, packed where ``federation.compression`` says so;
-          with ``federation.hear`` the uploads of so many, and with ``federation.own`` what robots
-          share. With ``strategy=gossip`` each robot sends to each of its neighbours, on random
-          graphs in the mean, and nothing to the access point.
+          with ``federation.hear`` or ``.fraction`` the uploads of so many, and with
+          ``federation.own`` what robots share. With ``strategy=gossip`` each robot sends to each of
+          its neighbours, on random graphs in the mean, and nothing to the access point.
         * ``weights_per_window``: the same, a window's.
         * ``lockstep``: the frames of the link between world and robots, headers included: a step
           and its actions for each client, and a tick's share of the step that ends a window. On
@@ -87,17 +84,13 @@ def waiting(clients: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def _weights(config: Config) -> float:
     """Bytes of a window's weights: up and down, only up without a mean, or to neighbours.
 
-    What stays a robot's own need not be sent, but where it is packed with the rest.
+    What stays a robot's own need not be sent.
     """
-    network = robot_network(config)
-    plain = NETWORKS * NUMBER * int(shared_numbers(network, config.federation.own).sum())
-    packed = packing(config, network.parameters)
-    up, down = (plain if each is None else each.size for each in packed)
+    up, down = payload_bytes(config)
     robots, name = config.env.robots, config.strategy.name
     if name == "gossip":
         return robots * mean_degree(config.strategy, robots) * up
-    sent = (config.federation.hear or robots) * up
-    return sent + (0 if name == "none" else robots * down)
+    return asked_robots(config) * up + (0 if name == "none" else robots * down)
 
 
 def _numbers(config: Config) -> int:

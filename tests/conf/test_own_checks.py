@@ -29,6 +29,16 @@ from conf import ConfigError, compose
             ["strategy=gossip", "federation.compression.targets=copied"],
             "averaged with strategy=gossip: robots are not given one model",
         ),
+        (
+            ["federation.own=heads", "federation.compression.up=q8"],
+            "none with federation.own=heads",
+        ),
+        (["federation.own=heads", "strategy/dp=local"], "none with federation.own=heads"),
+        (["strategy=gossip", "federation.hear=1"], "null with strategy=gossip"),
+        (["strategy=gossip", "attack=flip"], "none with strategy=gossip"),
+        (["federation.hear=1", "federation.fraction=0.5"], "1.0 with federation.hear"),
+        (["strategy=visits", "federation.losses.late=0.5"], "0.0 with strategy=visits"),
+        (["strategy=fedtrimmedavg", "strategy.trim=0.2"], "at least 1 / env.robots=3"),
         (["strategy/dp=central", "federation.own=heads"], "none with strategy/dp=central"),
         (["strategy/dp=adaptive", "federation.hear=2"], "null with strategy/dp=adaptive"),
         (["strategy/dp=central", "federation.losses.late=0.1"], "0.0 with strategy/dp=central"),
@@ -47,7 +57,7 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(changes, said):
 @pytest.mark.parametrize(
     "changes",
     [
-        ["federation.own=heads", "strategy=krum", "federation.compression.up=q8"],
+        ["federation.own=heads", "strategy=krum"],
         ["federation.own=normalisation", "strategy=fedprox", "agent.dueling=true"],
         ["strategy=gossip", "strategy.graph=random", "strategy.degree=2", "train.worlds=2"],
         ["strategy=visits", "agent.dueling=true"],

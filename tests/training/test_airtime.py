@@ -10,8 +10,7 @@ from training.communication import per_tick
 from training.exchange.airtime import Airtime, left_over
 from training.exchange.facts import WindowFacts
 from training.exchange.federation import build_federation
-from training.exchange.reception import Heard
-from training.exchange.selection import only, strongest
+from training.exchange.selection import strongest
 
 COPY = 2 * 4 * 6104
 """Bytes of two of the default networks."""
@@ -106,14 +105,6 @@ def test_the_best_channels_are_asked_and_ties_go_to_the_first_robot():
     assert strongest(channels, None).tolist() == [0, 1, 2, 3]
     assert strongest(channels, 1).tolist() == [1]
     assert strongest(channels, 3).tolist() == [1, 2, 3]
-
-
-def test_of_what_was_heard_only_those_that_were_asked_count():
-    heard = Heard(np.array([0, 2]), np.arange(4.0, dtype=np.float32).reshape(2, 2, 1))
-    assert only(heard, np.array([0, 2])) is heard
-    found = only(heard, np.array([1, 2]))
-    assert found.robots.tolist() == [2]
-    assert found.rows.ravel().tolist() == [2.0, 3.0]
 
 
 @pytest.mark.parametrize(("hear", "mean"), [(1, 2.0), (2, 1.5), (3, 4 / 3)])

@@ -32,7 +32,7 @@ BLOCKS = [(0, 2), (1,)]
 KINDS = {
     "heads": {"federation.own": "heads"},
     "normalisation": {"federation.own": "normalisation"},
-    "packed": {"federation.own": "input", "federation.compression.up": "q8"},
+    "input": {"federation.own": "input"},
     "gossip": {"strategy.name": "gossip", "strategy.graph": "random"},
 }
 RESUMED = {

@@ -47,7 +47,7 @@ def test_the_shared_part_becomes_the_mean_and_the_own_part_stays(tiny: Tiny, own
     given, uploads = networks(shape, 3), networks(shape, 3, seed=1)
     combiner = build_combiner(config)
     assert combiner is not None
-    found = combiner.combine(1, given, Heard(np.arange(3), uploads), facts(3))
+    found = combiner.combine(1, given, Heard(np.arange(3), uploads, np.arange(3)), facts(3))
     shared = shared_numbers(shape, own)
     mean = uploads.astype(np.float64).mean(axis=0)
     for robot in range(3):
@@ -61,7 +61,7 @@ def test_a_robot_that_was_not_heard_takes_the_shared_part_and_goes_back_to_its_o
     given, uploads = networks(shape, 3), networks(shape, 2, seed=1)
     combiner = build_combiner(config)
     assert combiner is not None
-    found = combiner.combine(1, given, Heard(np.array([0, 2]), uploads), facts(3))
+    found = combiner.combine(1, given, Heard(np.array([0, 2]), uploads, np.arange(3)), facts(3))
     shared = shared_numbers(shape, "heads")
     assert (found[:, :, shared] == found[0][:, shared]).all()
     assert (found[1][:, ~shared] == given[1][:, ~shared]).all()
@@ -74,7 +74,7 @@ def test_gossip_gives_each_robot_its_own_and_leaves_those_that_nobody_heard(tiny
     given, uploads = networks(shape, 3), networks(shape, 2, seed=1)
     combiner = build_combiner(config)
     assert combiner is not None
-    found = combiner.combine(1, given, Heard(np.array([0, 1]), uploads), facts(3))
+    found = combiner.combine(1, given, Heard(np.array([0, 1]), uploads, np.arange(3)), facts(3))
     assert found.shape == given.shape
     assert (found[0] == found[1]).all()
     assert (found[2] == given[2]).all()

@@ -239,12 +239,12 @@ def test_a_scale_beyond_all_measure_is_refused_as_absurd_weights(tiny):
         ([f"{COMPRESSION}.keep=0.2"], "only topk reads it"),
         ([f"{COMPRESSION}.up=topk", f"{COMPRESSION}.keep=0"], "above 0"),
         (["strategy=none", f"{COMPRESSION}.up=q1"], "no weights are exchanged"),
-        (["strategy=none", "federation.hear=1"], "no weights are exchanged"),
+        (["strategy=none", "federation.hear=1"], "nothing is uploaded"),
         (["baseline=centralized", f"{COMPRESSION}.targets=copied"], "no weights are exchanged"),
         (["federation.hear=4"], "from 1 to the robots there are, 3"),
         (["federation.hear=0"], "1"),
         (["rooms.count=4", "rooms.robots=[2,3]", "federation.hear=3"], "there are, 2"),
-        (["strategy=krum", "federation.hear=3"], "needs its full number"),
+        (["strategy=krum", "federation.hear=3"], "needs the uploads of all"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(given, says):

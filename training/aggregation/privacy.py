@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from flwr.app import ArrayRecord
 from flwr.serverapp.strategy import (
     DifferentialPrivacyServerSideAdaptiveClipping,
     DifferentialPrivacyServerSideFixedClipping,
@@ -27,11 +28,22 @@ class AdaptiveClipping(DifferentialPrivacyServerSideAdaptiveClipping):
     """Flower's, with a clip that moves towards the quantile.
 
     Flower 1.41 counts steps that were clipped where Andrew et al. (Eq. (1)) count those that were
-    not: its clip falls the faster the more is clipped, and ends at zero or infinity.
+    not: its clip falls the faster the more is clipped, and ends at zero or infinity. And it moves
+    the clip before it adds the noise of a window, whose steps the clip of before has bounded.
     """
 
+    _bounded_by = 0.0
+
     def _geometric_update(self, clipped_fraction: float) -> None:
+        self._bounded_by = self.clipping_norm
         super()._geometric_update(1.0 - clipped_fraction)
+
+    def _add_noise_to_aggregated_arrays(self, aggregated: ArrayRecord) -> ArrayRecord:
+        moved, self.clipping_norm = self.clipping_norm, self._bounded_by
+        noisy = super()._add_noise_to_aggregated_arrays(aggregated)
+        self.clipping_norm = moved
+        del self._bounded_by  # of this window alone
+        return noisy
 
 
 def protected(strategy: Strategy, dp: PrivacyConfig, robots: int) -> Strategy:

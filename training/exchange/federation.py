@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from conf import Config, robot_network
 from lockstep import Payload
+from training.aggregation.uploads import check_uploads
 from training.checkpoint import flat, part
 from training.exchange.airtime import Airtime
 from training.exchange.combining import Combiner, build_combiner
 from training.exchange.facts import WindowFacts, plain
 from training.exchange.packing import PackedSender, packing
 from training.exchange.reception import Reception
-from training.exchange.selection import only, strongest
 
 Weights = NDArray[np.float32]
 
@@ -48,14 +48,14 @@ class Federation:
         combiner: of its strategy.
 
     Attributes:
-        airtime: what exchanges have taken of the channel so far.
+        airtime: what exchanges have taken of the access point's channel so far, where it has part.
     """
 
     def __init__(self, config: Config, combiner: Combiner) -> None:
         self._combiner, self._reception = combiner, Reception(config)
         self._up, self._down = packing(config, robot_network(config).parameters)
         self._sender = None if self._down is None else PackedSender(self._down)
-        self._hear, self.airtime = config.federation.hear, Airtime(config)
+        self.airtime = None if config.strategy.name == "gossip" else Airtime(config)
 
     def exchange(
         self, window: int, model: Weights, uploads: Payload, facts: WindowFacts
@@ -74,9 +74,10 @@ class Federation:
         """
         given = np.broadcast_to(model, (len(uploads), *model.shape[-2:]))
         rows = self._unpacked(given, uploads)
-        asked = strongest(facts.channel_db, self._hear)
-        self.airtime.add(facts, asked)
-        heard = only(self._reception.heard(window, given, rows, facts), asked)
+        heard = self._reception.heard(window, given, rows, facts)
+        check_uploads(window, heard.rows, robots=heard.robots)
+        if self.airtime is not None:
+            self.airtime.add(facts, heard.asked)
         # where nobody was heard, robots are to hold what they held
         heard_any = len(heard.robots) > 0
         found = self._combiner.combine(window, given, heard, facts) if heard_any else model
@@ -117,7 +118,7 @@ class Federation:
                 "combiner": self._combiner.state(),
                 "sender": sender,
                 "reception": self._reception.state(),
-                "airtime": self.airtime.state(),
+                "airtime": {} if self.airtime is None else self.airtime.state(),
             }
         )
 
@@ -125,7 +126,8 @@ class Federation:
         """Takes back what ``state`` gave."""
         self._combiner.restore(part(state, "combiner"))
         self._reception.restore(part(state, "reception"))
-        self.airtime.restore(part(state, "airtime"))
+        if self.airtime is not None:
+            self.airtime.restore(part(state, "airtime"))
         if self._sender is not None:
             self._sender.restore(part(state, "sender"))
 

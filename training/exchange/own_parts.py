@@ -162,7 +162,8 @@ class OwnNormalisation:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """See ``OwnParts.state``."""
-        return {"count": self._count, "total": self._total, "squares": self._squares}
+        kept = {"count": self._count, "total": self._total, "squares": self._squares}
+        return {name: array.copy() for name, array in kept.items()}  # it counts on in place
 
     def restore(self, state: State) -> None:
         """See ``OwnParts.restore``."""

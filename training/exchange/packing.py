@@ -1,8 +1,8 @@
 """Weights in fewer bytes: differences from what the receiver holds, packed, with error feedback.
 
 What packing loses of a difference is added to the next one (Seide et al., 2014; Karimireddy et al.,
-2019, arXiv:1901.09847), on either side: robots keep what the server has not heard yet, and the
-server what robots have not.
+2019, arXiv:1901.09847), on either side: of their uploads by robots, and of the model by the server.
+A robot does not learn whether it was heard: what an upload held that was lost, is lost.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conf import Config, robot_network
+from training.exchange.own_parts import shared_numbers
 from training.exchange.packers import Bytes, Packer, Weights, build_packer
 
 NUMBER = 4
@@ -110,7 +111,8 @@ def packing(config: Config, parameters: int) -> tuple[Packing | None, Packing | 
 def payload_bytes(config: Config) -> tuple[int, int]:
     """Bytes of what one robot sends at a window's end, and of what it is given."""
     parameters = robot_network(config).parameters
-    plain = NETWORKS * NUMBER * parameters
+    shared = shared_numbers(robot_network(config), config.federation.own)
+    plain = NETWORKS * NUMBER * int(shared.sum())
     up, down = (plain if each is None else each.size for each in packing(config, parameters))
     return up, down
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from conf import Config
 from env.seeding import Stream, stream
 from training.exchange.facts import WindowFacts
+from training.exchange.selection import asked_robots, strongest
 
 Weights = NDArray[np.float32]
 
@@ -29,10 +30,12 @@ class Heard:
     Attributes:
         robots: whose they are, ascending, shape (H,).
         rows: their weights, shape (H, 2, P).
+        asked: who was asked to send, ascending.
     """
 
     robots: NDArray[np.intp]
     rows: Weights
+    asked: NDArray[np.intp]
 
 
 class Reception:
@@ -47,7 +50,7 @@ class Reception:
     """
 
     def __init__(self, config: Config) -> None:
-        self._seed, self._federation = config.seed, config.federation
+        self._config, self._federation, self._seed = config, config.federation, config.seed
         self._counts = np.zeros(len(FATES), np.int64)
         self._late = np.zeros(0, np.intp)
         self._steps: Weights = np.zeros((0, 0, 0), np.float32)
@@ -61,7 +64,7 @@ class Reception:
             rows: what each has sent, shape (K, 2, P).
             facts: of the window.
         """
-        asked = self._asked(window, len(rows))
+        asked = self._asked(window, facts)
         lost, late = self._lost(window, facts)
         fates = [asked & ~lost & ~late, asked & ~lost & late, asked & lost, ~asked]
         self._counts += [fate.sum() for fate in fates]
@@ -73,13 +76,20 @@ class Reception:
         self._late = np.flatnonzero(fates[1])
         self._steps = rows[self._late] - given[self._late]
         robots = np.flatnonzero(there)
-        return Heard(robots, counted[robots])
+        return Heard(robots, counted[robots], np.flatnonzero(asked))
 
-    def _asked(self, window: int, robots: int) -> NDArray[np.bool_]:
-        """Who is asked: max(C K, 1) robots, drawn (McMahan et al., 2017, Algorithm 1)."""
+    def _asked(self, window: int, facts: WindowFacts) -> NDArray[np.bool_]:
+        """Who is asked: the M with the best channels, or max(C K, 1) robots, drawn.
+
+        The draw is that of McMahan et al. (2017), Algorithm 1.
+        """
+        robots = len(facts.channel_db)
         asked = np.ones(robots, np.bool_)
+        if self._federation.hear is not None:
+            asked[:] = False
+            asked[strongest(facts.channel_db, self._federation.hear)] = True
         if self._federation.fraction < 1:
-            count = max(1, round(self._federation.fraction * robots))
+            count = asked_robots(self._config)
             rng = stream(self._seed, Stream.HEARD, window)
             asked[rng.permutation(robots)[count:]] = False
         return asked

@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from training.exchange.reception import Heard
+from conf import Config
 
 Robots = NDArray[np.intp]
+
+
+def asked_robots(config: Config) -> int:
+    """How many robots are asked for weights in a window."""
+    robots, federation = config.env.robots, config.federation
+    if federation.hear is not None:
+        return federation.hear
+    return max(1, round(federation.fraction * robots))
 
 
 def strongest(channel_db: NDArray[np.float64], count: int | None) -> Robots:
@@ -21,9 +29,3 @@ def strongest(channel_db: NDArray[np.float64], count: int | None) -> Robots:
         Who they are, ascending, shape (M,); of equal channels the first robot's counts as better.
     """
     return np.sort(np.argsort(-channel_db, kind="stable")[:count])
-
-
-def only(heard: Heard, asked: Robots) -> Heard:
-    """Of the uploads that were heard those of robots that were asked."""
-    ours = np.isin(heard.robots, asked)
-    return heard if ours.all() else Heard(heard.robots[ours], heard.rows[ours])
