@@ -29,7 +29,7 @@ MISTAKES = [
     (["run.dir=a${nothing}"], "Interpolation key 'nothing' not found"),
     # A wrong choice.
     (["env=warehouse"], "env=warehouse: allowed is one of default."),
-    (["strategy=median"], "strategy=median: allowed is one of fedadam, fedavg, "),
+    (["strategy=median"], "strategy=median: allowed is one of bulyan, fedadam, "),
     (["runtime=cluster"], "runtime=cluster: allowed is one of "),
     (["experiment=huge"], "experiment=huge: allowed is one of "),
     (["env.power.resolve=ask"], "env.power.resolve=ask: allowed is one of project, residual, zero"),
