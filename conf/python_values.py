@@ -13,7 +13,7 @@ from conf.user_paths import quoted
 Overrides = str | Iterable[str] | Mapping[str, Any]
 """``["env.robots=4", "seed=1"]``, or ``{"env.robots": 4, "seed": 1}``."""
 
-_WORD = re.compile(r"(?!(?:true|false|null|nan|inf)$)[a-z_]\w*", re.IGNORECASE)
+_WORD = re.compile(r"(?!(?:true|false|null|nan|inf)$)[a-z_]\w*", re.IGNORECASE | re.ASCII)
 """Text that Hydra reads as such without quotes: the name of a group's choice must have none."""
 
 
