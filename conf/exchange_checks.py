@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
 
 from conf.errors import shown
 from conf.exchange_schema import AttackConfig, CompressionConfig
 from conf.networks import robots_learn
-from conf.schema import Config, FederationConfig, has_rooms
+from conf.schema import Config, FederationConfig, changed, has_rooms
 from conf.strategy_checks import FULL_NUMBER
 from env.validate import Problem
 
@@ -21,18 +20,17 @@ def rules(config: Config) -> Iterator[Problem]:
     """
     yield from _attack_problems(config)
     yield from _loss_problems(config)
-    chosen, default = config.federation.compression, CompressionConfig()
+    chosen = config.federation.compression
     hear = config.federation.hear
     if not robots_learn(config) or config.strategy.name == "none":
         who = f"strategy={config.strategy.name}" if robots_learn(config) else "these agents"
         say = f"with {who}: no weights are exchanged"
-        for item in fields(chosen):
-            value, usual = getattr(chosen, item.name), getattr(default, item.name)
-            if value != usual:
-                yield f"federation.compression.{item.name}", value, f"{shown(usual)} {say}"
+        for key, value, default in changed(chosen):
+            yield f"federation.compression.{key}", value, f"{shown(default)} {say}"
         return
-    if chosen.keep != default.keep and "topk" not in (chosen.up, chosen.down):
-        say = f"{default.keep} here: only topk reads it, in compression.up or compression.down"
+    keep = CompressionConfig().keep
+    if chosen.keep != keep and "topk" not in (chosen.up, chosen.down):
+        say = f"{keep} here: only topk reads it, in compression.up or compression.down"
         yield "federation.compression.keep", chosen.keep, say
     if hear is not None:
         yield from _hearing(config, hear)
@@ -60,24 +58,18 @@ def _privacy(config: Config) -> Iterator[Problem]:
 
 def missing_uploads(federation: FederationConfig) -> Iterator[tuple[str, object, object]]:
     """The keys by which uploads do not come or come late, where they are set: key, value, off."""
-    usual = FederationConfig()
-    for key in ("hear", "fraction"):
-        value, off = getattr(federation, key), getattr(usual, key)
-        if value != off:
+    for key, value, off in changed(federation):
+        if key in ("hear", "fraction"):
             yield f"federation.{key}", value, off
-    for item in fields(usual.losses):
-        value, off = getattr(federation.losses, item.name), getattr(usual.losses, item.name)
-        if value != off:
-            yield f"federation.losses.{item.name}", value, off
+    for key, value, off in changed(federation.losses):
+        yield f"federation.losses.{key}", value, off
 
 
 def _attack_problems(config: Config) -> Iterator[Problem]:
     attack, robots, default = config.attack, config.env.robots, AttackConfig()
     if attack.name == "none":
-        for key in ("robots", "scale"):
-            if getattr(attack, key) != getattr(default, key):
-                say = f"{getattr(default, key)} with attack=none: nobody is hostile"
-                yield f"attack.{key}", getattr(attack, key), say
+        for key, value, off in changed(attack):
+            yield f"attack.{key}", value, f"{off} with attack=none: nobody is hostile"
     elif config.strategy.name == "none":
         yield "attack.name", attack.name, "none with strategy=none: nobody else takes an upload"
     elif has_rooms(config):

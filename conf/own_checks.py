@@ -9,9 +9,8 @@ from collections.abc import Iterator
 
 from conf.errors import shown
 from conf.exchange_checks import missing_uploads
-from conf.exchange_schema import CompressionConfig
 from conf.networks import robots_learn
-from conf.schema import Config, has_rooms
+from conf.schema import Config, changed, has_rooms
 from env.validate import Problem
 
 AVERAGES = ("fedavg", "fedprox", "fedmedian", "krum")
@@ -29,16 +28,14 @@ def rules(config: Config) -> Iterator[Problem]:
         yield from _own_problems(config)
     if own != "none" or config.strategy.name == "gossip":
         who = "strategy=gossip" if own == "none" else f"federation.own={own}"
-        compression, default = config.federation.compression, CompressionConfig()
-        for key in ("down", "targets"):
-            value, allowed = getattr(compression, key), getattr(default, key)
-            if value != allowed:
+        for key, value, allowed in changed(config.federation.compression):
+            if key in ("down", "targets"):
                 say = f"{allowed} with {who}: robots are not given one model"
                 yield f"federation.compression.{key}", value, say
-        yield from _changed(config, who)
+        yield from _altered(config, who)
 
 
-def _changed(config: Config, who: str) -> Iterator[Problem]:
+def _altered(config: Config, who: str) -> Iterator[Problem]:
     """What would change or hold back what a robot keeps of its own, for it takes what it sent."""
     say = f"with {who}: what robots keep comes back as they sent it"
     if config.federation.compression.up != "none":

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
 
 from conf import strategy_checks
-from conf.schema import Config, RoomsConfig, has_rooms, taking_part
+from conf.schema import Config, changed, has_rooms, taking_part
 from env.config import MAX_ROBOTS
 from env.validate import Problem
 
@@ -22,11 +21,9 @@ def rules(config: Config) -> Iterator[Problem]:
         say = "wait or abort here: rooms of a building in a deployment alone can miss a round"
         yield "federation.on_loss", on_loss, say
     if not has_rooms(config):
-        for item in fields(rooms):
-            default = getattr(RoomsConfig(), item.name)
-            if getattr(rooms, item.name) != default:
-                say = "not set with rooms.count=1 and rooms.held_out=0: only buildings read it"
-                yield f"rooms.{item.name}", getattr(rooms, item.name), say
+        say = "not set with rooms.count=1 and rooms.held_out=0: only buildings read it"
+        for key, value, _ in changed(rooms):
+            yield f"rooms.{key}", value, say
         return
     if config.scheme.agents != "federated" or config.scheme.robots != "learned":
         say = (

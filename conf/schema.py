@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Interval
@@ -233,6 +234,15 @@ class Config:
     state: CheckpointConfig = field(default_factory=CheckpointConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     run: RunConfig = field(default_factory=RunConfig)
+
+
+def changed(group: Any) -> Iterator[tuple[str, Any, Any]]:
+    """The fields of a group that are not at their defaults: name, value, default."""
+    usual = type(group)()
+    for item in fields(group):
+        value, default = getattr(group, item.name), getattr(usual, item.name)
+        if value != default:
+            yield item.name, value, default
 
 
 DEFAULT_WINDOWS_PER_ROUND = 100

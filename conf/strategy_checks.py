@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
 
 from conf.errors import ConfigError, shown
 from conf.exchange_schema import PrivacyConfig
 from conf.python_values import value_text
-from conf.schema import Config, StrategyConfig
+from conf.schema import Config, StrategyConfig, changed
 from env.validate import Problem
 
 KEYS: dict[str, frozenset[str]] = {
@@ -71,13 +70,12 @@ def _unread(
     config: StrategyConfig | PrivacyConfig, readers: Mapping[str, frozenset[str]], group: str
 ) -> Iterator[Problem]:
     """Keys that are set and that the choice of a group does not read."""
-    for field in fields(config):
-        value, default = getattr(config, field.name), getattr(type(config)(), field.name)
-        if field.name in {"name", "dp", *readers[config.name]} or value == default:
+    for key, value, default in changed(config):
+        if key in {"name", "dp", *readers[config.name]}:
             continue
-        names = " or ".join(name for name, keys in readers.items() if field.name in keys)
+        names = " or ".join(name for name, keys in readers.items() if key in keys)
         allowed = f"{shown(default)} with {group}={config.name}: only {names} reads it"
-        yield f"{group.replace('/', '.')}.{field.name}", value, allowed
+        yield f"{group.replace('/', '.')}.{key}", value, allowed
 
 
 def _privacy(config: StrategyConfig) -> Iterator[Problem]:
@@ -115,12 +113,7 @@ def _gossip(config: StrategyConfig, count: int, counted: str) -> Iterator[Proble
 
 def _krum(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     """Krum tolerates f of K robots where K >= 2f + 3 (Blanchard et al., 2017, Proposition 2)."""
-    most = (count - 3) // 2
-    if most < 0:
-        yield "strategy.name", config.name, f"{counted} of at least 3, not {count}"
-    elif config.malicious > most:
-        allowed = f"from 0 to {most}: Krum needs {counted}={count} to be at least 2 malicious + 3"
-        yield "strategy.malicious", config.malicious, allowed
+    yield from _tolerated(config, count, counted, "Krum", 2)
 
 
 def _multikrum(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
@@ -133,12 +126,19 @@ def _multikrum(config: StrategyConfig, count: int, counted: str) -> Iterator[Pro
 
 def _bulyan(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     """Bulyan needs K >= 4f + 3 (El Mhamdi et al., 2018, section 4); Flower's skips otherwise."""
-    most = (count - 3) // 4
+    yield from _tolerated(config, count, counted, "Bulyan", 4)
+
+
+def _tolerated(
+    config: StrategyConfig, count: int, counted: str, rule: str, times: int
+) -> Iterator[Problem]:
+    """A rule that needs K to be at least so many times f and 3."""
+    most = (count - 3) // times
+    need = f"{rule} needs {counted}={count} to be at least {times} malicious + 3"
     if most < 0:
         yield "strategy.name", config.name, f"{counted} of at least 3, not {count}"
     elif config.malicious > most:
-        allowed = f"from 0 to {most}: Bulyan needs {counted}={count} to be at least 4 malicious + 3"
-        yield "strategy.malicious", config.malicious, allowed
+        yield "strategy.malicious", config.malicious, f"from 0 to {most}: {need}"
 
 
 def _fedadam(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
