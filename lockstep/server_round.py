@@ -11,7 +11,6 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
@@ -91,26 +90,32 @@ class ServerRound:
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """Send all clients to a window, and wait until they are there."""
         self.protocol = ProtocolState()
-        self._order(Restore(self._orders + 1, window, model))
+        number = self._orders + 1
+
+        def restore(slot: ClientSlot) -> Restore:
+            own = None if model is None else of_block(model, slot.robots)
+            return Restore(number, window, own)
+
+        self._order(number, restore)
 
     def halt(self) -> list[int]:
         """Make all clients drop what is under way; returns the checkpoints that all have."""
         self.protocol = ProtocolState()
-        self._order(Abort(self._orders + 1))
+        number = self._orders + 1
+        self._order(number, lambda slot: Abort(number))
         return sorted(frozenset.intersection(*(slot.windows for slot in self.slots.values())))
 
-    def _order(self, order: Abort | Restore) -> None:
-        """Send all clients an order that ends what is under way; keeps what their `Ack` say."""
-        self._orders = order.number
-        model = order.model if isinstance(order, Restore) else None
-        frame = encode(order) if model is None or model.ndim < 3 else b""
+    def _order(self, number: int, order: Callable[[ClientSlot], Abort | Restore]) -> None:
+        """Send clients what ends all that is under way; keeps what their `Ack` say.
+
+        Args:
+            number: the order's.
+            order: for each client.
+        """
+        self._orders = number
         for slot in self.slots.values():
             slot.stale = True
-            if not frame and isinstance(order, Restore):
-                own = replace(order, model=of_block(model, slot.robots))
-                self.send(slot, encode(own), awaited=True)
-            else:
-                self.send(slot, frame, awaited=True)
+            self.send(slot, encode(order(slot)), awaited=True)
 
         def accept(slot: ClientSlot, frame: memoryview) -> None:
             ready = decode(frame)
