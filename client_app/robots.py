@@ -14,14 +14,13 @@ from env.local_env import LocalEnv
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from lockstep import Expect, Flag, Payload, Step
+from training.checkpoint import flat, part
 from training.exchange.facts import plain
 from training.exchange.outbox import outboxes
 
 # As numbers: NumPy looks for attributes on an enum's member, which runs Python code whose errors
 # it drops, a KeyboardInterrupt among them.
 OUTCOME, ARRIVED, DRIVING = int(Flag.OUTCOME), int(Flag.ARRIVED), int(Flag.DRIVING)
-
-_OUTBOX = "outbox."
 
 
 class RobotGroup:
@@ -143,13 +142,11 @@ class RobotGroup:
         """
         state = self.agents.agent_state(index)
         if self._outboxes:
-            state |= {f"{_OUTBOX}{key}": a for key, a in self._outboxes[index].state().items()}
+            state |= flat({"outbox": self._outboxes[index].state()})
         return state
 
     def restore_robot(self, index: int, state: Mapping[str, NDArray[np.generic]]) -> None:
         """Takes back what ``robot_state`` gave; a wrong shape is a ValueError."""
-        own = {k: a for k, a in state.items() if not k.startswith(_OUTBOX)}
-        self.agents.restore_agent(index, own)
+        self.agents.restore_agent(index, state)
         if self._outboxes:
-            kept = {k.removeprefix(_OUTBOX): a for k, a in state.items() if k not in own}
-            self._outboxes[index].restore(kept)
+            self._outboxes[index].restore(part(state, "outbox"))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from conf import Config
 from lockstep import Payload
+from training.checkpoint import flat, part
 from training.exchange.attacks import attack_of
 from training.exchange.packing import PackedSender, packing
 from training.exchange.privacy import LocalPrivacy
@@ -87,18 +88,15 @@ class Outbox:
         parts = {name: change.state() for name, change in self._changes.items()}
         if self._sender is not None:
             parts["sender"] = self._sender.state()
-        inner = {
-            f"{name}.{key}": array for name, part in parts.items() for key, array in part.items()
-        }
-        return {"given": self._given, **inner}
+        return {"given": self._given, **flat(parts)}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
         self._given = np.array(state["given"], np.float32)
-        for name, part in (*self._changes.items(), ("sender", self._sender)):
-            if part is not None:
-                start = f"{name}."
-                part.restore({k[len(start) :]: v for k, v in state.items() if k.startswith(start)})
+        for name, change in self._changes.items():
+            change.restore(part(state, name))
+        if self._sender is not None:
+            self._sender.restore(part(state, "sender"))
 
 
 def changes_of(config: Config, robot: int) -> list[tuple[str, Change]]:
