@@ -210,8 +210,10 @@ class Coordinator:
             raise ValueError(
                 f"tick {self.progress.tick}: action {action} of robot {robot}, of -1 to {most}"
             )
-        self._count_actions(chosen.reshape(-1, worlds))
-        return self._actions.decode(chosen.reshape(-1, worlds).T)
+        chosen = chosen.reshape(-1, worlds)
+        if self._federation is not None:
+            self._count_actions(chosen)
+        return self._actions.decode(chosen.T)
 
     def _count_actions(self, chosen: NDArray[np.int64]) -> None:
         """Counts the actions that robots take, shape (K, E), -1 where one is not driving."""
