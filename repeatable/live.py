@@ -7,13 +7,13 @@ import os
 import shutil
 import socket
 import subprocess
-import sysconfig
 import tempfile
 import time
 import uuid
 from pathlib import Path
 from typing import Any
 
+from repeatable.private import SETTINGS, started_apart, with_scripts
 from repeatable.process_tracker import MARK, ProcessTracker
 from repeatable.processes import Process
 
@@ -21,10 +21,7 @@ _HOST = "127.0.0.1"
 _CONNECTION = "repeatable"
 _COMMAND_S = 90.0
 _SETTINGS = {
-    "FLWR_TELEMETRY_ENABLED": "0",
-    "FLWR_DISABLE_UPDATE_CHECK": "1",
-    "FLWR_DISABLE_RUNTIME_DEPENDENCY_INSTALLATION": "1",  # else dependencies anew for every run
-    "RAY_USAGE_STATS_ENABLED": "0",
+    **SETTINGS,
     "no_proxy": "*",
     # Sums depend on how many threads share them.
     **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
@@ -57,10 +54,9 @@ class LiveRun:
         """
         short = "/tmp" if os.path.isdir("/tmp") else None  # Ray's sockets need short paths
         self._home = Path(tempfile.mkdtemp(prefix="rk-", dir=short))
-        mark, scripts = uuid.uuid4().hex, sysconfig.get_path("scripts")
+        mark = uuid.uuid4().hex
         home = {MARK: mark, "FLWR_HOME": str(self._home), "RAY_TMPDIR": str(self._home)}
-        path = os.pathsep.join([scripts, os.environ.get("PATH", os.defpath)])
-        self._environment = {**os.environ, **_SETTINGS, **home, "PATH": path}
+        self._environment = with_scripts(os.environ) | _SETTINGS | home
         self._children: list[subprocess.Popen[bytes]] = []
         self._processes = ProcessTracker(0, mark)
         try:
@@ -115,16 +111,7 @@ class LiveRun:
 
     def _spawn(self, *command: str) -> None:
         with (self._home / "log").open("ab") as log:
-            child = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                cwd=self._home,
-                env=self._environment,
-                start_new_session=True,
-            )
-        self._children.append(child)
+            self._children.append(started_apart(command, self._home, self._environment, log))
 
     def _wait_for(self, port: int) -> None:
         deadline = time.monotonic() + _COMMAND_S

@@ -10,17 +10,14 @@ import sysconfig
 from pathlib import Path
 
 from experiments.flower import variables
+from repeatable.private import SETTINGS, with_scripts
 from repeatable.processes import MARKER
 
 HOST = "127.0.0.1"
 CONNECTION = "risfleet"
 
 _SETTINGS = {
-    "FLWR_TELEMETRY_ENABLED": "0",
-    "FLWR_DISABLE_UPDATE_CHECK": "1",
-    # Without it a SuperLink installs the dependencies anew for every run, torch included.
-    "FLWR_DISABLE_RUNTIME_DEPENDENCY_INSTALLATION": "1",
-    "RAY_USAGE_STATS_ENABLED": "0",
+    **SETTINGS,
     # Ray hides accelerators from workers that ask for none: let every runtime see the same.
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
 }
@@ -57,7 +54,7 @@ def child_environment(home: Path, marker: str) -> dict[str, str]:
     Returns:
         The variables. None of them leads through a proxy: the session does not leave this machine.
     """
-    environment = _with_scripts(variables.chosen()) | _SETTINGS
+    environment = with_scripts(variables.chosen()) | _SETTINGS
     if sys.platform == "darwin":  # where no variable says otherwise, the desktop's proxies count
         environment["no_proxy"] = "*"
     return environment | {"FLWR_HOME": str(home), "RAY_TMPDIR": str(home), MARKER: marker}
@@ -74,19 +71,12 @@ def user_environment(marker: str) -> dict[str, str]:
         and Flower's home count. Only what would colour their answers is left out, and what is on
         this machine is reached without a proxy.
     """
-    environment = _with_scripts({**os.environ}) | _SETTINGS | {MARKER: marker}
+    environment = with_scripts({**os.environ}) | _SETTINGS | {MARKER: marker}
     for name in variables.COLOURS:
         environment.pop(name, None)
     for name in ("no_proxy", "NO_PROXY"):
         environment[name] = ",".join(filter(None, [environment.get(name), HOST, "localhost"]))
     return environment
-
-
-def _with_scripts(environment: dict[str, str]) -> dict[str, str]:
-    """Flower starts its own commands by their bare names."""
-    scripts = sysconfig.get_path("scripts")
-    path = os.pathsep.join([scripts, environment.get("PATH", os.defpath)])
-    return environment | {"PATH": path}
 
 
 def flower_command(name: str) -> str:

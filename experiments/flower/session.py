@@ -13,6 +13,7 @@ from typing import IO
 
 from experiments.flower.environment import FlowerError, child_environment
 from experiments.flower.guard import Guard
+from repeatable.private import started_apart
 from repeatable.processes import Process, identify, terminate
 
 # Ray's socket, <folder>/ray/session_<date>_<pid>/sockets/plasma_store, must fit 103 bytes (107 on
@@ -55,15 +56,7 @@ class Session:
         Returns:
             The process.
         """
-        child = subprocess.Popen(
-            argv,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=errors,
-            cwd=self.folder,
-            env=self.environment,
-            start_new_session=True,
-        )
+        child = started_apart(argv, self.folder, self.environment, output, errors)
         self._children.append(child)
         if (process := identify(child.pid)) is not None:
             self._roots.add(process)
