@@ -21,7 +21,7 @@ def test_outputs_count_by_their_action_and_all_else_by_transitions(dueling):
     shape = NetworkShape(4, (5,), ACTIONS, dueling)
     uploads = rows(shape)
     first, second = uploads.astype(np.float64)
-    found = VisitMean(shape).mean(1, uploads, COUNTS)
+    found = VisitMean(shape).mean(uploads, COUNTS)
     shares = {0: 1 / 3, 1: 0.0, 2: 0.5}  # of the first robot; nobody has taken the last action
     for hidden, one, other in zip(
         *(shape.matrices(x)[:1] for x in (found, first, second)), strict=True
@@ -39,7 +39,7 @@ def test_outputs_count_by_their_action_and_all_else_by_transitions(dueling):
 def test_where_nobody_has_visited_anything_all_count_alike():
     shape = NetworkShape(4, (5,), ACTIONS)
     uploads = rows(shape)
-    found = VisitMean(shape).mean(1, uploads, np.zeros_like(COUNTS))
+    found = VisitMean(shape).mean(uploads, np.zeros_like(COUNTS))
     np.testing.assert_allclose(found, uploads.astype(np.float64).mean(axis=0), atol=1e-7)
 
 
@@ -47,5 +47,5 @@ def test_robots_that_agree_keep_their_weights_to_the_bit():
     shape = NetworkShape(4, (5, 6), ACTIONS)
     uploads = np.repeat(rows(shape)[:1], 3, axis=0)
     counts = np.array([[1, 2, 3], [0, 7, 0], [9, 0, 1]])
-    found = VisitMean(shape).mean(1, uploads, counts)
+    found = VisitMean(shape).mean(uploads, counts)
     assert found.tobytes() == uploads[0].tobytes()

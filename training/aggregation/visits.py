@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import NetworkShape
-from training.aggregation.uploads import check_uploads
 
 Weights = NDArray[np.float32]
 
@@ -39,18 +38,13 @@ class VisitMean:
         self._counted = counted.astype(np.intp)
         """What a number counts by: 0 is all transitions, 1 + a is action a."""
 
-    def mean(self, window: int, uploads: Weights, actions: NDArray[np.int64]) -> Weights:
+    def mean(self, uploads: Weights, actions: NDArray[np.int64]) -> Weights:
         """The network that all robots take, shape (2, P).
 
         Args:
-            window: the window's number.
             uploads: shape (H, 2, P).
             actions: how often each of these robots took each action, shape (H, actions).
-
-        Raises:
-            ValueError: an upload is absurd; the message names the robot.
         """
-        check_uploads(window, uploads)
         counts = np.column_stack([actions.sum(axis=1), actions]).astype(np.float64)
         counts[:, counts.sum(axis=0) == 0] = 1.0
         shares = counts / counts.sum(axis=0)

@@ -132,7 +132,7 @@ class ByVisits(Stateless):
 
     def combine(self, window: int, given: Weights, heard: Heard, facts: WindowFacts) -> Weights:
         """See ``Combiner.combine``."""
-        return self._mean.mean(window, heard.rows, facts.actions[heard.robots])
+        return self._mean.mean(heard.rows, facts.actions[heard.robots])
 
 
 def build_combiner(config: Config) -> Combiner | None:
