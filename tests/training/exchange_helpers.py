@@ -12,7 +12,6 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 from lockstep import Expect, InProcessFleet, LinkServer, ServerLost, serve
-from storage.checkpoint_files import digest
 from training.controllers.access_point import AccessPoint
 from training.coordinator import Coordinator
 from training.exchange.federation import build_federation
@@ -65,13 +64,12 @@ def in_process(config, blocks=((0, 1, 2),)):
 
 
 def over_sockets(config, blocks):
-    """The digest of a run whose robots are behind sockets, each block on a thread of its own."""
+    """The weights of a run whose robots are behind sockets, each block on a thread of its own."""
     layout, parameters = step_layout(config), robot_network(config).parameters
     link = LinkServer("127.0.0.1", 0, fingerprint="test", timeout_s=20, layout=layout)
 
     def client(block):
         robots = CheckpointedRobots(config, block, None)
-        robots.begin(0, initial(config))
         options = {"fingerprint": "test", "timeout_s": 20.0, "n_parameters": parameters}
         with suppress(ServerLost):  # the run is over
             serve(link.address, block, [f"{k}" for k in block], robots, layout=layout, **options)
@@ -83,10 +81,11 @@ def over_sockets(config, blocks):
         for thread in threads:
             thread.start()
         link.wait_connected(20)
+        link.begin(0, initial(config))
         found = end_of(config, UploadingFleet(link))
     finally:
         link.close()
     for thread in threads:
         thread.join(60)
         assert not thread.is_alive()
-    return digest(found)
+    return found
