@@ -10,7 +10,7 @@ from experiments.reproduce.targets.plan import THREE_SEEDS
 from training.exchange.accounting import ACCOUNTANT
 
 TICKS = 10_000
-"""Of every run, so that all make as many releases: 400 windows."""
+"""Of every run: 400 windows, or 100 where they are four times as long."""
 
 EXPLORING = "agent.epsilon.ticks=4000"
 """By default they explore as long as these runs last."""
@@ -22,6 +22,11 @@ VARIANTS = (
     Variant("central", "strategy/dp=central strategy.dp.noise=1"),
     Variant("adaptive clip", "strategy/dp=adaptive strategy.dp.noise=0.1"),
     Variant("local", "strategy/dp=local strategy.dp.noise=0.1", quick=True),
+    Variant("N_F = 100", "federation.every=100"),
+    Variant(
+        "N_F = 100",
+        "federation.every=100 strategy/dp=central strategy.dp.noise=0.1 strategy.dp.clip=0.2",
+    ),
 )
 """The first is what the others are compared with."""
 

@@ -27,7 +27,7 @@ def test_attacks_are_of_one_of_four_and_two_of_six_and_within_a_rules_bound_one_
     hostile = {(each.env.robots, each.attack.robots) for each in configs if each.attack.robots}
     assert hostile == {(4, 1), (6, 2), (7, 1)}
     bulyan = [each for each in configs if each.strategy.name == "bulyan"]
-    assert [(each.env.robots, each.strategy.malicious) for each in bulyan] == [(7, 1)]
+    assert {(each.env.robots, each.strategy.malicious) for each in bulyan} == {(7, 1)}
 
 
 @pytest.mark.slow
