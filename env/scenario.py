@@ -119,3 +119,12 @@ class Scenario:
     def fixed_starts(self) -> NDArray[np.int64]:
         """The cells that robots start from with ``tasks.start=fixed``, shape (K,), or none."""
         return starts.fixed_starts(self.config, self.floor)
+
+    def draw_starts(self, count: int, generator: np.random.Generator) -> NDArray[np.int64]:
+        """Start cells, shape (count, K): fixed ones, or drawn as ``tasks.start`` says."""
+        if len(self.fixed_starts):
+            return np.tile(self.fixed_starts, (count, 1))
+        if self.config.collisions == "block":
+            return starts.distinct_starts(self.start_cells, count, generator)
+        drawn = [generator.choice(cells, size=count) for cells in self.start_cells]
+        return np.stack(drawn, axis=-1)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from env.config import phase_actions
 from env.downlink.allocation import Allocation, Downlink
-from env.mdp import collisions, starts
+from env.mdp import collisions
+from env.mdp.observation_tables import ObservationTables
 from env.mdp.reward import only
-from env.radio.propagation import small_scale_fading
+from env.radio.slot_fading import SlotFading
 from env.scenario import Scenario
 
 
@@ -41,17 +42,6 @@ class StepResult(NamedTuple):
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     allocation: Allocation
-
-
-class _ObservationTable(NamedTuple):
-    """Observations that depend on a robot and its cell alone."""
-
-    local: NDArray[np.float32]  # s_L without what the AP tells, (cells, K, ...)
-    by_ap: NDArray[np.float32]  # what the AP sees of it while driving, (cells, K, ...)
-
-
-MAX_SEEN = 2**20
-"""Most cells times robots for which observations are tabulated: 54 MB, 75 MB with ways."""
 
 
 class World:
@@ -84,26 +74,14 @@ class World:
         self.downlink = Downlink(self.config)
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
         self._weighs = self._rewards.weighs_credit or self._rewards.weighs_rates
-        self._starts, self._fixed_starts = scenario.start_cells, scenario.fixed_starts
         self._robot = np.arange(len(self.destinations))
-        self._seen = self._tabulate()
+        self._tables = ObservationTables.of(scenario)
         shape = (worlds, self.robots)
         self.cell = np.zeros(shape, dtype=np.int64)
         self.driving = np.zeros(shape, dtype=bool)
         self.slot = np.zeros(worlds, dtype=np.int64)
-        self._fading_sources: Sequence[np.random.Generator] | None = None
-        self._fading: NDArray[np.complex128] | None = None
-
-    def _tabulate(self) -> _ObservationTable | None:
-        """What is seen from every cell, if it stays and is no large table."""
-        cells, robots = self._distance_m.shape
-        if self.config.channel.fading == "slot" or cells * robots > MAX_SEEN:
-            return None
-        cell = np.broadcast_to(np.arange(cells)[:, None], (cells, robots))
-        tables, everywhere = self.radio_map, np.ones((cells, robots), dtype=bool)
-        local = self.scenario.local_states(cell, tables.direct_db[cell])
-        seen = self.observer.seen_robots(local, tables.direct[cell], everywhere)
-        return _ObservationTable(local, seen)
+        channel, los = self.config.channel, self.radio_map.direct_los
+        self._fading = SlotFading(los, channel.rician_k_db) if channel.fading == "slot" else None
 
     @property
     def robots(self) -> int:
@@ -119,7 +97,7 @@ class World:
     def direct(self) -> NDArray[np.complex128]:
         """The direct channel hbar of every robot in this slot, shape (B, K)."""
         direct = self.radio_map.direct[self.cell]
-        return direct if self._fading is None else direct * self._fading
+        return direct if self._fading is None else direct * self._fading.factor
 
     @property
     def measured_db(self) -> NDArray[np.float32]:
@@ -183,8 +161,8 @@ class World:
         self.cell = np.array(start, dtype=np.int64)
         self.driving = np.ones_like(self.cell, dtype=bool)
         self.slot = np.zeros(len(self.cell), dtype=np.int64)
-        self._fading_sources = fading
-        self._draw_fading()
+        if self._fading is not None:
+            self._fading.begin(self.cell, fading or [self.generator])
 
     def restart(
         self,
@@ -206,52 +184,25 @@ class World:
         self.driving = self.driving | worlds[:, None]
         self.slot = np.where(worlds, 0, self.slot)
         if self._fading is not None:
-            self._fading = self._fading.copy()
-            self._fading[worlds] = self._fading_from(fading, self.cell[worlds])
-
-    def _draw_fading(self) -> None:
-        """Draws the next slot's fading of hbar, if each slot has its own."""
-        if self.config.channel.fading == "slot":
-            self._fading = self._fading_from(self._fading_sources, self.cell)
-
-    def _fading_from(
-        self, sources: Sequence[np.random.Generator] | None, cell: NDArray[np.int64]
-    ) -> NDArray[np.complex128]:
-        """A slot's fading in cells of equal blocks of worlds, each from its source."""
-        sources = sources or [self.generator]
-        blocks = zip(np.split(cell, len(sources)), sources, strict=True)
-        return np.concatenate([self._drawn_fading(*block) for block in blocks])
-
-    def _drawn_fading(
-        self, cell: NDArray[np.int64], source: np.random.Generator
-    ) -> NDArray[np.complex128]:
-        """A slot's fading of hbar in some cells, of their shape."""
-        los, k_db = self.radio_map.direct_los[cell], self.config.channel.rician_k_db
-        return small_scale_fading(los, k_db, source)
+            self._fading.redraw(worlds, self.cell[worlds], fading or [self.generator])
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Where an episode is, as copies; without the random streams."""
         state = {"cell": self.cell, "driving": self.driving, "slot": self.slot}
         if self._fading is not None:
-            state["fading"] = np.stack([self._fading.real, self._fading.imag])
+            state["fading"] = self._fading.state()
         return {name: array.copy() for name, array in state.items()}
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave; the streams are the caller's to restore."""
         self.cell, self.driving = state["cell"].copy(), state["driving"].copy()
         self.slot = state["slot"].copy()
-        if "fading" in state:
-            real, imaginary = state["fading"]
-            self._fading = real + 1j * imaginary
+        if self._fading is not None:
+            self._fading.restore(state["fading"])
 
     def draw_starts(self, count: int) -> NDArray[np.int64]:
         """Start cells, shape (count, K): fixed ones, or drawn from the world's stream."""
-        if len(self._fixed_starts):
-            return np.tile(self._fixed_starts, (count, 1))
-        if self.config.collisions == "block":
-            return starts.distinct_starts(self._starts, count, self.generator)
-        drawn = [self.generator.choice(cells, size=count) for cells in self._starts]
-        return np.stack(drawn, axis=-1)
+        return self.scenario.draw_starts(count, self.generator)
 
     def local_observations(self) -> NDArray[np.float32]:
         """s_L of every robot, float32, shape (B, K, local_size)."""
@@ -267,8 +218,8 @@ class World:
 
     def _known_alone(self) -> NDArray[np.float32]:
         """What each robot knows by itself of s_L."""
-        if self._seen is not None:
-            return self._seen.local[self.cell, self._robot]
+        if self._tables is not None:
+            return self._tables.local[self.cell, self._robot]
         return self.scenario.local_states(self.cell, self.measured_db)
 
     def global_observation(self, local: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
@@ -283,11 +234,11 @@ class World:
 
     def _seen_robots(self, local: NDArray[np.float32] | None) -> NDArray[np.float32]:
         """What the AP sees of each robot by itself, zeros where it is not driving."""
-        if self._seen is None:
+        if self._tables is None:
             if local is None:
                 local = self._known_alone()
             return self.observer.seen_robots(local, self.direct, self.driving)
-        seen = self._seen.by_ap[self.cell, self._robot]
+        seen = self._tables.by_ap[self.cell, self._robot]
         if np.count_nonzero(self.driving) < self.driving.size:
             seen *= self.driving[..., None]
         return seen
@@ -314,7 +265,11 @@ class World:
         gain = self.radio_map.gain(self.cell, phase_action, direct)
         allocation = self.downlink.allocate(gain, level, drove)
         weights = self._rewards.weights(self.travel_slots) if self._weighs else None
-        credit = self._credit(gain, allocation, drove, weights)
+        credit = allocation.rate
+        if weights is not None and self._rewards.weighs_credit:
+            absent = self._rewards.weighs_absence
+            without = self.downlink.rates_without(gain, allocation) if absent else None
+            credit = self._rewards.credit(allocation.rate, drove, weights, without)
         before_m = self._distance_m[self.cell, self._robot]
         moved = self.next_cell[self.cell, direction]
         if self.config.collisions == "block":
@@ -324,7 +279,8 @@ class World:
         arrived = drove & (self.cell == self.destinations)
         self.driving = drove & ~arrived
         self.slot = self.slot + running
-        self._draw_fading()
+        if self._fading is not None:
+            self._fading.draw(self.cell)
         terminated = np.asarray(~self.driving.any(axis=-1))
         truncated = ~terminated & (self.slot >= self.config.motion.max_slots)
         local = self._rewards.of_robots(credit, before_m, after_m, arrived)
@@ -340,16 +296,3 @@ class World:
             truncated=truncated,
             allocation=allocation,
         )
-
-    def _credit(
-        self,
-        gain: NDArray[np.float64],
-        sent: Allocation,
-        drove: NDArray[np.bool_],
-        weights: NDArray[np.float64] | None,
-    ) -> NDArray[np.float64]:
-        """What robots are credited with for what was sent over these channels, shape (B, K)."""
-        if weights is None or not self._rewards.weighs_credit:
-            return sent.rate
-        without = self.downlink.rates_without(gain, sent) if self._rewards.weighs_absence else None
-        return self._rewards.credit(sent.rate, drove, weights, without)

@@ -163,7 +163,7 @@ def test_each_slots_fading_multiplies_an_own_channel():
     env.register_channel_model("ramp", ramp)
     world = world_of({"channel": {"model": "ramp", "fading": "slot"}})
     world.reset()
-    assert np.array_equal(world.direct, world.radio_map.direct[world.cell] * world._fading)
+    assert np.array_equal(world.direct, world.radio_map.direct[world.cell] * world._fading.factor)
     assert not np.array_equal(world.direct, world.radio_map.direct[world.cell])
 
 

@@ -73,7 +73,7 @@ def test_the_share_is_that_of_starts_from_which_no_moves_arrive(walls, slots, ap
     config = dataclasses.replace(config, motion=dataclasses.replace(config.motion, max_slots=slots))
     world = World(Scenario(config, goals), stream(seed, Stream.WORLD))
     late = [
-        [not arrives(config, goals, robot, start) for start in world._starts[robot]]
+        [not arrives(config, goals, robot, start) for start in world.scenario.start_cells[robot]]
         for robot in range(2)
     ]
     shares = lateness.late_shares(config, goals)

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from env import world
 from env.checks import checked_config
+from env.mdp import observation_tables
 from env.mdp.destinations import draw_destinations
 from env.radio import radio_map
 from env.scenario import Scenario
@@ -75,7 +75,7 @@ def test_an_episode_is_the_same_without_tables(changes, monkeypatch):
     config = configured(changes)
     looked_up = played(config)
     monkeypatch.setattr(radio_map, "MAX_TABLE", 0)
-    monkeypatch.setattr(world, "MAX_SEEN", 0)
+    monkeypatch.setattr(observation_tables, "MAX_SEEN", 0)
     for found, computed in zip(looked_up, played(config), strict=True):
         assert found.dtype == computed.dtype
         np.testing.assert_array_equal(found, computed)
