@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from env.config import phase_actions
 from env.downlink.allocation import Allocation, Downlink
 from env.mdp import collisions
-from env.mdp.observation_tables import ObservationTables
 from env.mdp.reward import only
+from env.observation_tables import ObservationTables
 from env.radio.slot_fading import SlotFading
 from env.scenario import Scenario
 

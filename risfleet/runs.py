@@ -20,7 +20,7 @@ from experiments.runtimes.folders import near
 from experiments.viewer.replays import beside
 from risfleet.evaluation import Evaluation, evaluation_of
 from risfleet.replays import Replay
-from training.building import known_rooms
+from training.known_rooms import known_rooms
 from training.policy import AccessPointPolicy, Policy
 from training.recording.csv_log import read_columns
 from training.run_folder import RunFolder

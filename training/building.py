@@ -15,15 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import NetworkShape, single_threaded
-from conf import Config, ConfigError, ap_network, fingerprint, robot_network, taking_part
-from conf.rooms import Room, from_json, rooms_of, to_json
+from agent import single_threaded
+from conf import Config, ap_network, fingerprint, robot_network, taking_part
+from conf.rooms import Room
 from env.seeding import Stream, stream
-from env.texts import read_text
-from storage.atomic import write_atomically
 from storage.checkpoint_files import Writer, digest
 from storage.checkpoint_layout import owner
 from training.checkpoint import Checkpoint, flat, part, save_server
+from training.known_rooms import known_rooms
 from training.recording.costs import Costs
 from training.recording.progress import Progress
 from training.recording.summary import summarise
@@ -66,7 +65,9 @@ class BuildingRun:
         self._writer = Writer()
         count = len(self.rooms)
         self.progress = Progress()
-        self._model = _first(robot_network(rooms[0].config(config)), config.seed, 0)
+        self._model = robot_network(rooms[0].config(config)).initial_pair(
+            stream(config.seed, Stream.WEIGHTS, 0)
+        )
         self._aps: dict[int, Weights] = {}
         self._played = np.zeros(count, np.int64)
         self._ticks = np.zeros(count, np.int64)
@@ -153,7 +154,9 @@ class BuildingRun:
         """What access points start from: the same, where their networks have one size."""
         if self._config.scheme.phase != "learned":
             return np.zeros((2, 0), np.float32)
-        return _first(ap_network(room.config(self._config)), self._config.seed, 1)
+        return ap_network(room.config(self._config)).initial_pair(
+            stream(self._config.seed, Stream.WEIGHTS, 1)
+        )
 
     def _take(self, index: int, report: RoomReport, number: int) -> None:
         """Notes how far a room has come, and its access point's network if that is its own."""
@@ -177,13 +180,15 @@ class BuildingRun:
         With networks of their own, access points of rooms that have not played yet, and of those
         that are held out, have the one that all start from.
         """
-        own = None
-        if self._shares_ap:
-            own = self._aps.get(0)
-        elif not room.held_out:
-            own = self._aps.get(room.index)
-        online: Weights = (self._first_ap(room) if own is None else own)[0]
+        online: Weights = self._ap_pair(room)[0]
         return online
+
+    def _ap_pair(self, room: Room) -> Weights:
+        """As ``ap_of``, online and target, shape (2, P_AP)."""
+        own = None
+        if self._shares_ap or not room.held_out:
+            own = self._aps.get(0 if self._shares_ap else room.index)
+        return self._first_ap(room) if own is None else own
 
     # --- Where it ends, and what it keeps ---------------------------------------------------------
 
@@ -248,22 +253,16 @@ class BuildingRun:
         config, folder = self._config, self._folder
         scores: list[RoomScore] = []
         for room in (*self.rooms, *self._held_out):
-            ap = self.ap_of(room)
-            scores.append(score(config, room, self._model[0], ap, FINAL_EPSILON))
+            ap = self._ap_pair(room)
+            scores.append(score(config, room, self._model[0], ap[0], FINAL_EPSILON))
             own, place = room.config(config), folder.room(room.name)
             place.path.mkdir(parents=True, exist_ok=True)
             place.write_config(own)
             robots = np.broadcast_to(self._model, (own.env.robots, *self._model.shape))
-            both = self._aps.get(0 if self._shares_ap else room.index)
-            if both is None or (room.held_out and not self._shares_ap):
-                both = self._first_ap(room)
-            place.write_weights(np.array(robots), both, own)
+            place.write_weights(np.array(robots), ap, own)
         self.recorder.write_scores(self.progress, scores)
-        aps = [self._aps[index].ravel() for index in sorted(self._aps)]
-        digests = {
-            "robots": digest(self._model),
-            "ap": digest(np.concatenate([*aps, np.zeros(0, np.float32)])),
-        }
+        aps = [np.zeros(0, np.float32), *(self._aps[i].ravel() for i in sorted(self._aps))]
+        digests = {"robots": digest(self._model), "ap": digest(np.concatenate(aps))}
         kinds = {
             "trained_in": [each for each in scores if not each.room.held_out],
             "held_out": [each for each in scores if each.room.held_out],
@@ -297,31 +296,3 @@ class BuildingRun:
 
             save_rooms_figure(folder.figures / "rooms.png", self.recorder.rooms)
         return summary
-
-
-def known_rooms(config: Config, folder: RunFolder) -> list[Room]:
-    """A building's rooms: as its folder says, or drawn and written there.
-
-    Raises:
-        ConfigError: see ``conf.rooms.rooms_of``.
-    """
-    path = folder.rooms_file
-    if path.is_file():
-        try:
-            rooms = from_json(read_text(path))
-        except (OSError, ValueError) as error:
-            raise ConfigError(f"{path} cannot be read: {error}.") from error
-        own = [(False, index) for index in range(config.rooms.count)]
-        own += [(True, index) for index in range(config.rooms.held_out)]
-        if [(room.held_out, room.index) for room in rooms] != own:
-            raise ConfigError(f"{path}: its rooms are not those of the run's configuration.")
-        return rooms
-    rooms = rooms_of(config, check=False)  # as was done before the run began
-    write_atomically(path, to_json(rooms))
-    return rooms
-
-
-def _first(network: NetworkShape, seed: int, index: int) -> Weights:
-    """Initial online and target weights, shape (2, P)."""
-    first = network.initial_weights(stream(seed, Stream.WEIGHTS, index))
-    return np.stack([first, first])

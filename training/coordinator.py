@@ -17,19 +17,17 @@ from numpy.typing import NDArray
 from conf import Config, robot_actions
 from env.episode import EpisodeAccumulator
 from env.world import StepResult, World
-from lockstep import Expect, Flag, Fleet
+from lockstep import Expect, Fleet
 from storage.generators import generator_state, restore_generator
 from training.checkpoint import flat, part
 from training.controllers.access_point import RisController
 from training.exchange.facts import WindowFacts, plain
 from training.partition import step_layout
 from training.recording.progress import Observer, Progress
+from training.step_records import StepRecords
 
 if TYPE_CHECKING:
     from training.exchange.federation import Federation
-
-# As NumPy's own numbers: it would look for attributes on an enum's member at every use.
-OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARRIVED, Flag.DRIVING))
 
 
 class Coordinator:
@@ -57,7 +55,7 @@ class Coordinator:
         stop: Callable[[], bool] = lambda: False,
         keep: Callable[[bool], None] = lambda final: None,
     ) -> None:
-        self._config, self._layout = config, step_layout(config)
+        self._config, self._records = config, StepRecords(step_layout(config), world)
         self._actions = robot_actions(config)
         self._world, self._ap, self._fleet = world, ap, fleet
         self._federation = federation
@@ -183,8 +181,8 @@ class Coordinator:
 
     def _play_window(self, window: int) -> bool:
         """Plays the ticks of a window; returns whether the run ends with it."""
-        updates = self._updates()
-        self._observe_into(updates)
+        updates = self._records.of()
+        self._records.observe_into(updates)
         self._fleet.send_step(self.progress.tick, window, Expect.ACTIONS, updates)
         if not self._started:
             self._observer.on_start()
@@ -228,13 +226,13 @@ class Coordinator:
         Returns:
             What the robots answer next.
         """
-        updates, seen = self._updates(outcome), self._state
+        updates, seen = self._records.of(outcome), self._state
         ended, next_observation = outcome.terminated | outcome.truncated, None
         ends = bool(ended.any())
         if ends:  # what is counted and seen of an episode comes before the next one begins
             next_observation = self._count(outcome)
             self._end_episodes(ended)
-        self._observe_into(updates, anew=ends)
+        self._records.observe_into(updates, anew=ends)
         if self._federation is not None:
             self._federation.observed(updates)
         expect = Expect.ACTIONS
@@ -268,41 +266,3 @@ class Coordinator:
         enough = self.progress.episodes >= train.episodes
         late = train.max_ticks is not None and self.progress.tick >= train.max_ticks
         return enough or late or self.stopped
-
-    def _updates(self, outcome: StepResult | None = None) -> np.ndarray:
-        """The robots' records, filled with the results of a step, if there is one.
-
-        Robot-major, as ``lockstep.Layout`` says: shape (K E,).
-        """
-        world = self._world
-        updates = np.zeros(world.cell.size, dtype=self._layout.record)
-        if outcome is not None:
-            updates["flags"] = _by_robot(outcome.drove) * OUTCOME
-            updates["flags"] |= _by_robot(outcome.arrived) * ARRIVED
-            updates["outcome_cell"] = _by_robot(world.cell)
-            updates["outcome_channel_db"] = _by_robot(world.measured_db)
-            updates["rate"] = _by_robot(outcome.rate)
-            if self._layout.credit:
-                updates["credit"] = _by_robot(outcome.credit)
-            if self._layout.broadcast:
-                updates["outcome_broadcast"] = _by_robot(world.broadcast())
-        return updates
-
-    def _observe_into(self, updates: np.ndarray, *, anew: bool = True) -> None:
-        """Adds what each robot observes now, after a reset where an episode has just ended.
-
-        If nothing has begun ``anew``, that is what the outcome led to.
-        """
-        world = self._world
-        updates["flags"] |= _by_robot(world.driving) * DRIVING
-        updates["cell"] = _by_robot(world.cell)
-        updates["channel_db"] = _by_robot(world.measured_db)
-        if self._layout.broadcast:
-            led_to = updates["outcome_broadcast"]
-            updates["broadcast"] = _by_robot(world.broadcast()) if anew else led_to
-
-
-def _by_robot(values: NDArray[Any]) -> NDArray[Any]:
-    """Rows of a step, shape (K E, ...), of values of shape (E, K, ...)."""
-    by_robot = values.swapaxes(0, 1)
-    return by_robot.reshape(values.shape[0] * values.shape[1], *values.shape[2:])

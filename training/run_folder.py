@@ -1,4 +1,4 @@
-"""The folder of a run: what each of its files is called, and how it is read and written whole."""
+"""The folder of a run: how each of its files is read and written whole."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import shutil
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from env.texts import read_text
 from storage.atomic import write_atomically, write_whole
 from storage.safetensors_metadata import read_metadata, with_metadata
 from storage.strict_json import to_json
+from training.run_paths import RunPaths
 from training.weights_metadata import config_in, describe
 
 _NOTHING_YET: dict[str, Any] = {
@@ -42,15 +42,8 @@ _NOTHING_YET: dict[str, Any] = {
 """What a run that failed before its first tick could not say, and a damaged file does not."""
 
 
-@dataclass(frozen=True)
-class RunFolder:
-    """A run's folder, there or not; no other module knows the name of a file in it.
-
-    Attributes:
-        path: the folder.
-    """
-
-    path: Path
+class RunFolder(RunPaths):
+    """A run's folder, there or not: what is in it, read and written."""
 
     @classmethod
     def of(cls, config: Config) -> RunFolder:
@@ -63,95 +56,9 @@ class RunFolder:
         within = cls(path.parent)
         return within if within.weights_file == path else cls(path)
 
-    def __str__(self) -> str:
-        """The folder's path."""
-        return str(self.path)
-
-    # --- Where everything is ----------------------------------------------------------------------
-
-    @property
-    def config_file(self) -> Path:
-        """The whole configuration."""
-        return self.path / "config.yaml"
-
-    @property
-    def summary_file(self) -> Path:
-        """What the run came to; written last but for the figures."""
-        return self.path / "summary.json"
-
-    @property
-    def progress_file(self) -> Path:
-        """How far the run has come, for whoever watches from outside."""
-        return self.path / "progress.json"
-
-    @property
-    def metrics_file(self) -> Path:
-        """An episode a row."""
-        return self.path / "metrics.csv"
-
-    @property
-    def evaluations_file(self) -> Path:
-        """An evaluation two rows: with exploration, then greedy."""
-        return self.path / "evaluations.csv"
-
-    @property
-    def episode_file(self) -> Path:
-        """The newest episode of an evaluation, slot by slot, for whoever watches."""
-        return self.path / "episode.json"
-
-    @property
-    def rooms_file(self) -> Path:
-        """The rooms of a building, as ``conf.rooms`` describes them."""
-        return self.path / "rooms.json"
-
-    @property
-    def rooms_log_file(self) -> Path:
-        """Evaluations of a building, two rows for each room: with exploration, then greedy."""
-        return self.path / "rooms.csv"
-
     def room(self, name: str) -> RunFolder:
         """The folder of a room, which is that of a run: its configuration and final weights."""
         return RunFolder(self.path / "rooms" / name)
-
-    @property
-    def weights_file(self) -> Path:
-        """The final weights."""
-        return self.path / "weights.safetensors"
-
-    @property
-    def stop_file(self) -> Path:
-        """Once it is there, the run ends at its next window boundary; of a sweep, all its runs."""
-        return self.path / "stop"
-
-    @property
-    def log_file(self) -> Path:
-        """What Flower's processes say."""
-        return self.path / "flower.log"
-
-    @property
-    def state(self) -> Path:
-        """The folder of checkpoints, see ``storage.checkpoint_layout``."""
-        return self.path / "state"
-
-    @property
-    def figures(self) -> Path:
-        """The folder of figures."""
-        return self.path / "figures"
-
-    @property
-    def tensorboard(self) -> Path:
-        """The folder of TensorBoard's events."""
-        return self.path / "tensorboard"
-
-    @property
-    def wandb(self) -> Path:
-        """The folder that W&B makes for itself."""
-        return self.path / "wandb"
-
-    @property
-    def mlflow(self) -> Path:
-        """The folder of MLflow's database, unless the user names another."""
-        return self.path / "mlflow"
 
     # --- What is there ----------------------------------------------------------------------------
 

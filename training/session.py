@@ -82,8 +82,7 @@ class TrainingRun:
         """The network that all robots start from, online and target, shape (2, P); P may be 0."""
         if not robots_learn(self.config):
             return np.zeros((2, 0), np.float32)
-        first = robot_network(self.config).initial_weights(stream(self.config.seed, Stream.WEIGHTS))
-        return np.stack([first, first])
+        return robot_network(self.config).initial_pair(stream(self.config.seed, Stream.WEIGHTS))
 
     def model(self) -> NDArray[np.float32] | None:
         """What all robots take before the first tick, shape (2, P); None if they hold it."""

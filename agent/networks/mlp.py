@@ -98,6 +98,10 @@ class NetworkShape:
         row: FloatArray = flat[0]
         return row
 
+    def initial_pair(self, generator: np.random.Generator) -> FloatArray:
+        """``initial_weights`` as online and target network, shape (2, P)."""
+        return np.stack([self.initial_weights(generator)] * 2)
+
 
 def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray) -> FloatArray:
     """Action values of several networks, each on its own observations.

@@ -33,7 +33,7 @@ from torchrl_worlds import ACCESS_POINT, ROBOTS, FleetWorlds, as_seen
 import env
 from agent import single_threaded
 from conf import Config
-from env.apis.parallel_env import AP
+from env.apis.fleet_infos import AP
 from training.controllers.policies import Decision, Exploration, PolicyWeights
 from training.evaluation import Evaluator
 

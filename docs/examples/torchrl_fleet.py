@@ -18,7 +18,7 @@ from torchrl.modules import MLP, EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, SoftUpdate
 
 import env
-from env.apis.parallel_env import AP
+from env.apis.fleet_infos import AP
 
 HELD_OUT = 1_000_000
 """Evaluation episodes have the seeds from here on."""

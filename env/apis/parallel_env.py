@@ -10,6 +10,7 @@ from gymnasium import logger, spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
+from env.apis.fleet_infos import AP, FleetInfos, Infos
 from env.apis.observation_spaces import ap_space, robot_space
 from env.apis.starts import start_cells, starts_asked
 from env.checks import checked_config, refuse
@@ -22,10 +23,7 @@ from env.world import StepResult, World
 if TYPE_CHECKING:
     from env.rendering.frames import Picture
 
-AP = "ap"
-
 Observations = dict[str, NDArray[np.float32]]
-Infos = dict[str, dict[str, Any]]
 
 
 class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
@@ -165,6 +163,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self._outcome: StepResult | None = None
         self._picture: Picture | None = None
         self._make_spaces()
+        self._infos = FleetInfos(self.world, self.robots, masks=absorbing)
 
     def _make_spaces(self) -> None:
         world, encoder = self.world, self.world.observer
@@ -202,7 +201,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.world.reset(cell)
         self.agents = list(self.possible_agents)
         self._way, self._outcome = [self.world.cell[0]], None
-        return self._observations(), self._infos(self.world.direct[0])
+        return self._observations(), self._infos.of(self.world.direct[0])
 
     def step(
         self, actions: Mapping[str, Any]
@@ -230,7 +229,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         paid = dict(zip(self.robots, outcome.local_reward[0].tolist(), strict=True))
         paid[AP] = float(outcome.global_reward[0])
         out_of_time = bool(outcome.truncated[0])
-        seen, infos = self._observations(), self._infos(channel)
+        seen, infos = self._observations(), self._infos.of(channel, outcome)
         self.agents = [name for name in live if not (ended[name] or out_of_time)]
         return (
             {name: seen[name] for name in live},
@@ -255,40 +254,6 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         local = self.world.local_observations()
         seen = {name: local[0, k].copy() for k, name in enumerate(self.robots)}
         return {**seen, AP: self.world.global_observation(local)[0]}
-
-    def _infos(self, channel: NDArray[np.complex128]) -> Infos:
-        """The infos of a slot, with h_k in it, shape (K,); of none after a reset."""
-        world, outcome = self.world, self._outcome
-        nothing = np.zeros(world.robots)
-        sent = outcome.allocation if outcome else None
-        columns = {
-            "rate": outcome.rate[0] if outcome else nothing,
-            "power_w": sent.power_w[0] if sent else nothing,
-            "gain_db": 20.0 * np.log10(np.abs(channel)),
-            "sic_failed": sent.sic_failed[0] if sent else nothing.astype(bool),
-            "arrived": outcome.arrived[0] if outcome else nothing.astype(bool),
-            "shortest_slots": world.shortest_slots[0],
-        }
-        infos: Infos = {
-            name: {key: column[k].item() for key, column in columns.items()}
-            for k, name in enumerate(self.robots)
-        }
-        infos[AP] = {
-            "sum_rate": float(columns["rate"].sum()),
-            "projected": bool(sent.projected[0]) if sent else False,
-            "margin_dropped": bool(sent.margin_dropped[0]) if sent else False,
-        }
-        return self._masked(infos) if self.absorbing else infos
-
-    def _masked(self, infos: Infos) -> Infos:
-        """The infos with the actions that count for each agent, and which robots are driving."""
-        for name, info in infos.items():
-            info["action_mask"] = np.ones(self.action_spaces[name].n, dtype=np.int8)
-        for name, driving in zip(self.robots, self.world.driving[0].tolist(), strict=True):
-            infos[name]["driving"] = driving
-            if not driving:
-                infos[name]["action_mask"][1:] = 0
-        return infos
 
     def render(self) -> NDArray[np.uint8] | str | None:
         """The floor and the ways so far: a picture, shape (480, 480, 3), or lines of text."""

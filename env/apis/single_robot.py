@@ -11,7 +11,8 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from env.apis.parallel_env import AP, Infos, RISFleetParallelEnv
+from env.apis.fleet_infos import AP, Infos
+from env.apis.parallel_env import RISFleetParallelEnv
 from env.checks import checked_config
 from env.config import EnvConfig
 from env.oracles import per_slot

@@ -8,8 +8,8 @@ from dataclasses import replace
 from agent import single_threaded
 from client_app.rooms import HostedRoom
 from conf import Config, ConfigError
-from training.building import known_rooms
 from training.evaluation import Evaluator
+from training.known_rooms import known_rooms
 from training.recording.history import MEASURES, mean
 from training.rooms import Weights
 from training.run_folder import RunFolder

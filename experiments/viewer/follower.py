@@ -14,7 +14,7 @@ from env.scenario import Scenario
 from experiments.console.display import SILENT_S, describe, silent_s
 from experiments.viewer.replays import Panel
 from experiments.viewer.scene import scene
-from training.building import known_rooms
+from training.known_rooms import known_rooms
 from training.recording.csv_log import read_columns
 from training.run_folder import RunFolder
 

@@ -21,8 +21,9 @@ from experiments.cli import main
 from experiments.runtimes import local
 from storage.checkpoint_files import CheckpointError, checkpoints, digest
 from storage.checkpoint_layout import room_folder, server_folder
-from training.building import BuildingRun, known_rooms
+from training.building import BuildingRun
 from training.checkpoint import latest
+from training.known_rooms import known_rooms
 from training.recording.history import EVALUATIONS, MEASURES
 from training.room_recording import ROOM_METRICS, ROOMS
 from training.run_folder import RunFolder

@@ -79,8 +79,7 @@ class NetworkAgent(ABC):
         self._service = Service(config)
         self._epsilon = config.agent.epsilon
         self.agent = self._new_agent(stream(config.seed, Stream.AP))
-        first = self.shape.initial_weights(stream(config.seed, Stream.WEIGHTS, 1))
-        self.agent.load(np.stack([first, first]))
+        self.agent.load(self.shape.initial_pair(stream(config.seed, Stream.WEIGHTS, 1)))
 
     @abstractmethod
     def _new_agent(self, generator: np.random.Generator) -> DQN | BranchingDQN:

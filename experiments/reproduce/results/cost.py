@@ -79,8 +79,7 @@ def _centralized(config: Config) -> list[DQN]:
 
 def _filled(agents: DQN, config: Config) -> DQN:
     """Agents with drawn weights that learn from every further transition."""
-    first = agents.shape.initial_weights(np.random.default_rng(1))
-    agents.load(np.stack([first, first]))
+    agents.load(agents.shape.initial_pair(np.random.default_rng(1)))
     for _ in range(config.agent.learn_from):
         _learn(agents)
     return agents

@@ -28,8 +28,8 @@ from experiments.reproduce.results.output import (
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.results.statistics import Estimate, estimate
 from experiments.reproduce.targets.plan import Cell
-from training.building import known_rooms
 from training.evaluation import Evaluator
+from training.known_rooms import known_rooms
 from training.recording.history import mean
 
 SEEDS = (50, 51, 52)

@@ -10,7 +10,8 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import env
-from env.apis.parallel_env import AP, RISFleetParallelEnv
+from env.apis.fleet_infos import AP
+from env.apis.parallel_env import RISFleetParallelEnv
 
 CONFIG = {"robots": 3, "motion": {"max_slots": 7}, "tasks": {"start_distance_m": 1.0}}
 EAST = 12

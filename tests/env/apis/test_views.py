@@ -18,7 +18,8 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, see
 from pettingzoo.utils.conversions import parallel_to_aec
 
 import env
-from env.apis.parallel_env import AP, RISFleetParallelEnv, parallel_env
+from env.apis.fleet_infos import AP
+from env.apis.parallel_env import RISFleetParallelEnv, parallel_env
 from env.apis.single_robot import SingleRobotEnv
 from env.config import EnvConfig, RisConfig
 from env.mdp.actions import ActionSpace

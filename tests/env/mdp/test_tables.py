@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from env import observation_tables
 from env.checks import checked_config
-from env.mdp import observation_tables
 from env.mdp.destinations import draw_destinations
 from env.radio import radio_map
 from env.scenario import Scenario

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from env.apis.parallel_env import AP, RISFleetParallelEnv
+from env.apis.fleet_infos import AP
+from env.apis.parallel_env import RISFleetParallelEnv
 from env.config import ChannelConfig, EnvConfig
 from env.local_env import LocalEnv
 from env.mdp.actions import ActionSpace
