@@ -1,4 +1,4 @@
-"""Imports go one way, down the table of docs/architecture.md, and never in a circle of folders."""
+"""Imports go one way, down the table of docs/architecture.md, never in a circle; modules are short."""
 
 import ast
 import subprocess
@@ -229,6 +229,14 @@ def test_importing_a_module_loads_no_heavy_library_that_it_does_not_need(importe
 def test_the_apps_and_the_command_are_where_the_rules_expect_them():
     assert {name.split(".")[0] for name in modules()} == set(OURS)
     assert {rule_of(name) for name in modules()} == {*RULES}
+
+
+def test_modules_are_short():
+    lines = sorted(
+        len(path.read_text().splitlines()) for name in OURS for path in (ROOT / name).rglob("*.py")
+    )
+    assert lines[-1] < 300
+    assert lines[len(lines) // 2] < 130
 
 
 def test_no_module_imports_itself_through_others():
