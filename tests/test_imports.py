@@ -1,4 +1,4 @@
-"""Imports go one way, down the table of docs/architecture.md, never in a circle; modules are short."""
+"""Imports go one way, down the table of docs/architecture.md, never in a circle; short modules."""
 
 import ast
 import subprocess
