@@ -56,7 +56,7 @@ def parse(
     Raises:
         ConfigError: names the first mistake.
     """
-    schema = schema_node()
+    schema = copy.deepcopy(schema_node())  # values are tried in it
     found = [_parsed(text, with_quoted_path(text, several=sweep)) for text in texts]
     roots = [FOLDER, *own_groups.folders_of(found)]
     for text, override in zip(texts, found, strict=True):
@@ -118,14 +118,9 @@ def combinations(overrides: Sequence[Override]) -> list[list[str]]:
     return [list(combination) for combination in itertools.product(*axes)]
 
 
-def schema_node() -> DictConfig:
-    """The schema as a node that can still be merged into; the caller's own."""
-    return copy.deepcopy(_schema())
-
-
 @cache
-def _schema() -> DictConfig:
-    """Made once: it takes seven times as long as a copy."""
+def schema_node() -> DictConfig:
+    """The schema as a node that copies of can be merged into; one for all, to be read alone."""
     node: DictConfig = OmegaConf.structured(Config)
     _set_writable(node)  # frozen dataclasses make it read-only
     return node
