@@ -8,7 +8,7 @@ PYTHON ?= $(firstword $(shell command -v python3.11 python3.12 python3.13 python
 TORCH := $(shell sed -n 's/^torch==/torch==/p' constraints.txt)
 PACKAGES := env agent storage repeatable lockstep conf training server_app client_app experiments risfleet
 WORKERS ?= auto
-PARALLEL := -n $(WORKERS) --maxprocesses 8 --dist loadfile
+PARALLEL := -n $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 CHAOS_KILLS ?= 50
 CHAOS_SEED ?= 0
 SOURCES := $(PACKAGES) tests benchmarks tools docs/examples
@@ -39,7 +39,8 @@ lint-rules: $(READY)
 lint-types: $(READY)
 	$(BIN)/mypy
 
-# A worker for each core; the tests of a file share its fixtures, so they stay on one.
+# A worker for each core; the tests of a file share its fixtures, so they stay on one. Files go in
+# the order of folders: by numbers of tests the few long ones would come last.
 test: lint
 	$(BIN)/pytest $(PARALLEL) --cov -m "not slow and not chaos"
 

@@ -236,7 +236,10 @@ def test_what_benchmarl_cannot_train_is_named(wrong, said, tmp_path):
     assert not [*tmp_path.iterdir()]
 
 
-@pytest.mark.parametrize("algorithm", ["mappo", "qmix", "vdn", "iql"])
+@pytest.mark.parametrize(
+    "algorithm",
+    ["qmix", *(pytest.param(name, marks=pytest.mark.slow) for name in ("mappo", "vdn", "iql"))],
+)
 def test_benchmarl_trains_robots_and_access_point(algorithm, tmp_path):
     fleet = example("benchmarl_fleet")  # with it BenchMARL's own settings are known
     settings = settings_of(algorithm)

@@ -50,6 +50,7 @@ def learned(notebook: Any) -> list[float]:
     return [float(value) for value in row.split()[1:]]
 
 
+@pytest.mark.slow
 def test_the_first_run_comes_to_a_figure(tmp_path: Path) -> None:
     notebook = first_run()
     cells = code_cells(notebook)

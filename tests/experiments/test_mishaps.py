@@ -135,7 +135,9 @@ def test_an_error_that_nobody_reads_is_no_traceback(
     assert main(["train", "env.robots=0"]) == 2
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("train", "--cfg")])
+@pytest.mark.parametrize(
+    "arguments", [("--help",), pytest.param(("train", "--cfg"), marks=pytest.mark.slow)]
+)
 def test_a_command_whose_output_nobody_takes_ends_well_and_silently(
     arguments: tuple[str, ...],
 ) -> None:

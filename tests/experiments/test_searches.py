@@ -25,6 +25,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 def test_optuna_chooses_values_and_the_same_command_finds_their_runs_done(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -249,6 +249,7 @@ def test_one_folder_holds_a_sweep_whatever_its_values(
 # --- Launchers ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_launcher_takes_any_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sweep = tmp_path / "it's, [my] {sweep} ü=1"
     assert (
@@ -272,7 +273,10 @@ def test_a_sweep_on_every_core_has_the_status_of_its_worst_run(
     assert "File too large" in errors
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)],
+)
 def test_a_signal_ends_runs_on_every_core_with_what_they_have_learned(
     tmp_path: Path, start: Start, number: signal.Signals, status: int
 ) -> None:

@@ -81,7 +81,10 @@ def test_a_folder_that_cannot_be_made_is_said_in_a_sentence(
 
 @pytest.mark.parametrize(
     ("number", "status", "name"),
-    [(signal.SIGINT, 130, "Ctrl-C"), (signal.SIGTERM, 143, "SIGTERM")],
+    [
+        (signal.SIGINT, 130, "Ctrl-C"),
+        pytest.param(signal.SIGTERM, 143, "SIGTERM", marks=pytest.mark.slow),
+    ],
 )
 def test_a_signal_ends_a_run_with_everything_that_it_has_learned(
     tmp_path: Path, start: Start, number: signal.Signals, status: int, name: str

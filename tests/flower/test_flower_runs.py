@@ -215,6 +215,7 @@ def test_a_deployment_outlives_a_killed_process(
 # --- Ctrl-C ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.flower
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
 def test_ctrl_c_ends_a_simulation_with_what_it_has_learned_and_a_resume_goes_on(
@@ -301,8 +302,9 @@ def flwr_home(tmp_path: Path) -> Iterator[dict[str, str]]:
     assert left == set()
 
 
+@pytest.mark.slow
 @pytest.mark.flower
-@pytest.mark.parametrize("app", [".", pytest.param("hub", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("app", [".", "hub"])
 def test_flowers_own_command_ends_in_the_same_bits(
     tmp_path: Path,
     tiny_overrides: Sequence[str],

@@ -37,7 +37,9 @@ CUT = Disconnected("the cable is cut")
 
 
 @pytest.mark.parametrize("strategy", ["fedavg", "none"])
-@pytest.mark.parametrize(("tick", "back_to"), [(57, 4), (20, 0), (7, 0)])
+@pytest.mark.parametrize(
+    ("tick", "back_to"), [(57, 4), (20, 0), pytest.param(7, 0, marks=pytest.mark.slow)]
+)
 def test_a_killed_client_is_started_anew_and_costs_no_bit(
     deployed: Tiny, run: Any, digests: Any, at_tick: Any, strategy: str, tick: int, back_to: int
 ) -> None:

@@ -166,7 +166,7 @@ def digests_of(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(("damage", "says"), DAMAGES)
-@pytest.mark.parametrize("whose", ["robot-01", "server"])
+@pytest.mark.parametrize("whose", ["server", pytest.param("robot-01", marks=pytest.mark.slow)])
 def test_the_command_names_a_damaged_checkpoint_and_goes_on_from_the_one_before_it(
     tiny_overrides: Any,
     expected: dict[str, str],
@@ -275,7 +275,7 @@ def test_a_node_whose_disk_takes_nothing_ends_the_run_by_name_and_keeps_what_it_
 
 
 @mounts
-@pytest.mark.parametrize("kind", list(SAYS))
+@pytest.mark.parametrize("kind", ["full", pytest.param("read_only", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("whose", ["robot-01", "server"])
 def test_a_run_whose_disk_takes_nothing_says_which_file_and_how_to_go_on(
     tiny_overrides: Any,

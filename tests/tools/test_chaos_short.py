@@ -40,6 +40,7 @@ def survive(runtime: Runtime, reference: Path, scratch: Path, kills: int, seed: 
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
 def test_a_run_in_one_process_survives_kills_at_random_moments(scratch: Path) -> None:
     rows = survive(SHORT, play_reference(scratch / "r", SHORT), scratch, KILLS, seed=5)

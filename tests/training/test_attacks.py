@@ -95,6 +95,7 @@ def test_trimming_and_the_median_bound_what_one_of_four_can_do_and_the_mean_does
     assert within == {"fedavg": False, "fedmedian": True, "fedtrimmedavg": True, "krum": True}
 
 
+@pytest.mark.slow
 def test_bulyan_without_hostile_robots_is_the_mean_and_with_one_of_seven_bounds_it():
     start, _ = step()
     rng = np.random.default_rng(1)

@@ -102,7 +102,7 @@ def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     [
         ("slot", "fedavg"),
         ("static", "fedavgm"),
-        ("static", "fedadam"),
+        slow("static", "fedadam"),
         ("static", "none"),
         ("static", "fedprox"),
         slow("static", "fedavg"),

@@ -50,6 +50,7 @@ def test_cells_are_buildings_with_the_same_held_out_rooms() -> None:
     assert config.agent.learning_rate_updates == config.train.max_ticks
 
 
+@pytest.mark.slow
 def test_rows_are_what_final_weights_reach_as_shares_of_the_rule(reproduced: Path) -> None:
     with (reproduced / "building_runs.csv").open(newline="") as file:
         found = {row["rooms"]: row for row in csv.DictReader(file)}

@@ -227,6 +227,7 @@ def test_a_mistake_is_refused_before_anything_starts(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_all_runs_and_leaves_no_process_behind(
     overrides: list[str], tmp_path: Path
 ) -> None:

@@ -31,6 +31,12 @@ TEXT = (".md", ".csv", ".json", ".yaml", ".svg")
 FOLDERS = re.compile(r"(?<![\w.)])/(?:home|root|tmp|Users|mnt|var|opt|private|srv)/")
 """How a path of a machine begins."""
 
+
+def slow_but_for(kept: RegressionRun, *targets: str) -> list[pytest.MarkDecorator]:
+    """Marks of a stored run: some are repeated always, all in `make test-all`."""
+    return [] if kept.target in targets else [pytest.mark.slow]
+
+
 needs_results = pytest.mark.skipif(not STORED, reason="no results are kept in this checkout")
 
 
@@ -180,7 +186,13 @@ def test_stored_results_are_whole() -> None:
 
 
 @needs_results
-@pytest.mark.parametrize("kept", KEPT, ids=lambda kept: kept.target)
+@pytest.mark.parametrize(
+    "kept",
+    [
+        pytest.param(each, id=each.target, marks=slow_but_for(each, "fig3", "gossip"))
+        for each in KEPT
+    ],
+)
 def test_stored_runs_begin_as_they_do_now(kept: RegressionRun, tmp_path: Path) -> None:
     check_again(kept, tmp_path / "run")
 
