@@ -22,10 +22,10 @@ from storage.checkpoint_layout import robot_folder, server_folder
     [
         "engine",
         "env_step",
-        "parts",
-        "scaling",
-        "rooms",
-        pytest.param("central", marks=pytest.mark.slow),
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("parts", "scaling", "rooms", "central")
+        ),
     ],
 )
 def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):

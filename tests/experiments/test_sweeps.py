@@ -259,6 +259,7 @@ def test_a_launcher_takes_any_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert list(written_at(sweep)) == ["0", "1"]
 
 
+@pytest.mark.slow
 def test_a_sweep_on_every_core_has_the_status_of_its_worst_run(
     tmp_path: Path, start: Start
 ) -> None:

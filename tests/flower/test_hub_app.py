@@ -27,7 +27,9 @@ def project(folder: Path) -> dict[str, Any]:
     return tomllib.loads((folder / "pyproject.toml").read_text())
 
 
-@pytest.mark.parametrize("app", [ROOT, HUB], ids=["project", "hub"])
+@pytest.mark.parametrize(
+    "app", [ROOT, pytest.param(HUB, marks=pytest.mark.slow)], ids=["project", "hub"]
+)
 def test_flwr_build_passes(app: Path, tmp_path: Path) -> None:
     """The command itself, from a folder where no module lies by chance."""
     command = [str(Path(sysconfig.get_path("scripts"), "flwr")), "build", "--app"]

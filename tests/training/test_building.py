@@ -366,7 +366,10 @@ VARIANTS: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("changes", VARIANTS)
+@pytest.mark.parametrize(
+    "changes",
+    [*VARIANTS[2:], *(pytest.param(each, marks=pytest.mark.slow) for each in VARIANTS[:2])],
+)
 def test_a_building_that_is_stopped_goes_on_to_the_same_bits(
     build: Any, resume: Any, tmp_path: Path, changes: dict[str, Any]
 ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -458,6 +458,14 @@ SERVING: dict[str, Any] = {
     "env.state.way": "on",
     "env.state.order": "gain",
 }
+
+
+def some_always(names: Iterable[str], *always: str) -> list[Any]:
+    """Cases of which some are played always, all in `make test-all`."""
+    slow = [pytest.mark.slow]
+    return [pytest.param(name, marks=[] if name in always else slow) for name in names]
+
+
 GROUPED: dict[str, dict[str, Any]] = {
     "fedavg": {},
     "none": {"strategy.name": "none"},
@@ -467,7 +475,7 @@ GROUPED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("variant", GROUPED)
+@pytest.mark.parametrize("variant", some_always(GROUPED, "fedavg", "worlds_credit"))
 def test_grouping_changes_no_bit(tiny: Tiny, play: Callable[..., Any], variant: str) -> None:
     config = tiny({"train.max_ticks": 200, **GROUPED[variant]})
     found = {play(config, blocks).digests for blocks in BLOCKS}
@@ -490,7 +498,7 @@ CARRIED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("variant", CARRIED)
+@pytest.mark.parametrize("variant", some_always(CARRIED, "robots", "worlds_search"))
 def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any], variant: str) -> None:
     config = tiny({"train.max_ticks": 200, **CARRIED[variant]})
     expected = play(config).digests

@@ -418,6 +418,7 @@ def train(message, context):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.flower
 def test_a_run_reaches_its_clients_and_leaves_nothing_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

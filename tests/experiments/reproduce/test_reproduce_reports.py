@@ -88,6 +88,7 @@ def test_ablations_are_differences_from_the_default(tiny_run: Path, tmp_path: Pa
     assert "`default`" in (tmp_path / "ablations.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_command_trains_reports_and_says_what_it_came_from(
     tiny_overrides: tuple[str, ...],
     tmp_path: Path,

@@ -126,7 +126,16 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bits(plan: Plan, straight: P
     assert digests(plan) == digests(straight)
 
 
-@pytest.mark.parametrize("damage", ["summary.json", "weights.safetensors", "evaluations.csv"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "weights.safetensors",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("summary.json", "evaluations.csv")
+        ),
+    ],
+)
 def test_a_damaged_run_is_trained_again(damage: str, done: Plan) -> None:
     first = next(iter(done.configs.values()))
     folder = folder_of(first)

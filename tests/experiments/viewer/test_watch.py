@@ -259,6 +259,7 @@ def default_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it(tiny_run: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "experiments.cli", "watch", str(tiny_run)],
