@@ -31,12 +31,6 @@ TEXT = (".md", ".csv", ".json", ".yaml", ".svg")
 FOLDERS = re.compile(r"(?<![\w.)])/(?:home|root|tmp|Users|mnt|var|opt|private|srv)/")
 """How a path of a machine begins."""
 
-
-def slow_but_for(kept: RegressionRun, *targets: str) -> list[pytest.MarkDecorator]:
-    """Marks of a stored run: some are repeated always, all in `make test-all`."""
-    return [] if kept.target in targets else [pytest.mark.slow]
-
-
 needs_results = pytest.mark.skipif(not STORED, reason="no results are kept in this checkout")
 
 
@@ -189,7 +183,11 @@ def test_stored_results_are_whole() -> None:
 @pytest.mark.parametrize(
     "kept",
     [
-        pytest.param(each, id=each.target, marks=slow_but_for(each, "fig3", "gossip"))
+        pytest.param(
+            each,
+            id=each.target,
+            marks=[] if each.target in ("fig3", "gossip") else [pytest.mark.slow],
+        )
         for each in KEPT
     ],
 )
