@@ -44,8 +44,7 @@ class Stacked:
         self._robots = DQN(robot, config.agent, discount.robot, streams)
         self._ap = DQN(ap, config.agent, discount.ap, [stream(0, Stream.AP)])
         for agents in (self._robots, self._ap):
-            first = agents.shape.initial_weights(stream(0, Stream.WEIGHTS))
-            agents.load(np.stack([first, first]))
+            agents.load(agents.shape.initial_pair(stream(0, Stream.WEIGHTS)))
         self._active = np.ones(robots, dtype=bool)
         self._ended = np.zeros(robots, dtype=bool)
 

@@ -53,8 +53,7 @@ def initial_weights(config: Config) -> NDArray[np.float32]:
     """The network that all robots start from, shape (2, P); P is 0 where they have none."""
     if not robots_learn(config):
         return np.zeros((2, 0), np.float32)
-    first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
-    return np.stack([first, first])
+    return robot_network(config).initial_pair(stream(config.seed, Stream.WEIGHTS))
 
 
 class ServerSide:

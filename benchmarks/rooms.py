@@ -124,8 +124,7 @@ class Learning:
         worlds, rng = config.train.worlds, np.random.default_rng(0)
         streams = [stream(0, Stream.ROBOT, k) for k in range(agents)]
         self._agents = DQN(shape, config.agent, config.agent.discount.robot, streams, worlds=worlds)
-        first = shape.initial_weights(stream(0, Stream.WEIGHTS))
-        self._agents.load(np.stack([first, first]))
+        self._agents.load(shape.initial_pair(stream(0, Stream.WEIGHTS)))
         self._seen = rng.normal(size=(agents * worlds, shape.inputs)).astype(np.float32)
         self._reward = rng.normal(size=agents * worlds)
         self._active = np.ones(agents * worlds, dtype=bool)

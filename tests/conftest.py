@@ -186,8 +186,7 @@ def play() -> Callable[..., Played]:
         from training.coordinator import Coordinator
         from training.exchange.federation import build_federation
 
-        first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
-        initial = np.stack([first, first])
+        initial = robot_network(config).initial_pair(stream(config.seed, Stream.WEIGHTS))
         if fleet is None:
             fleet = _local_fleet(config, blocks or [tuple(range(config.env.robots))], initial)
         scenario = Scenario.drawn(config.env, config.seed)

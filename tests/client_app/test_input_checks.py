@@ -37,9 +37,9 @@ def received(tick: int = 1, **changes: Any) -> Step:
 def group(tiny: Callable[..., Config]) -> RobotGroup:
     """Two robots that learn from their first transition on."""
     config = tiny({"agent.learn_from": 1, "agent.batch_size": 1, "env.robots": 4})
-    first = robot_network(config).initial_weights(stream(0, Stream.WEIGHTS))
+    initial = robot_network(config).initial_pair(stream(0, Stream.WEIGHTS))
     robots = RobotGroup(config, ROBOTS)
-    robots.download(0, np.stack([first, first]))
+    robots.download(0, initial)
     return robots
 
 
@@ -155,9 +155,9 @@ def test_one_bad_record_of_many_is_named_by_its_robot_and_not_learned_from(
 ) -> None:
     config = tiny({**MANY, "train.worlds": worlds})
     assert (2 * worlds > FEW) == (worlds == 20)
-    first = robot_network(config).initial_weights(stream(0, Stream.WEIGHTS))
+    initial = robot_network(config).initial_pair(stream(0, Stream.WEIGHTS))
     group = RobotGroup(config, ROBOTS)
-    group.download(0, np.stack([first, first]))
+    group.download(0, initial)
     group.step(received_in_worlds(config, 0))
     before = group.upload()
     for row, robot in ((worlds - 1, 3), (worlds, 1), (2 * worlds - 2, 1)):

@@ -54,8 +54,7 @@ def drive(group: RobotGroup, ticks: range, window: int = 1) -> list[NDArray[np.i
 
 @pytest.fixture
 def initial(tiny: Tiny) -> NDArray[np.float32]:
-    first = robot_network(tiny()).initial_weights(stream(0, Stream.WEIGHTS))
-    return np.stack([first, first])
+    return robot_network(tiny()).initial_pair(stream(0, Stream.WEIGHTS))
 
 
 @pytest.fixture

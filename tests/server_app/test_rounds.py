@@ -72,8 +72,7 @@ def make_fleet(
     open_link: Callable[[], LinkServer],
 ) -> Callable[..., FlowerFleet]:
     def make(config: Config, grid: FakeGrid) -> FlowerFleet:
-        first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
-        initial = np.stack([first, first])
+        initial = robot_network(config).initial_pair(stream(config.seed, Stream.WEIGHTS))
         nodes = wait_for_nodes(cast(Grid, grid), len(grid.nodes), 1.0)
         link = open_link()
         fleet = FlowerFleet(config, link, Clients(config, cast(Grid, grid), link, nodes))

@@ -3,8 +3,6 @@
 import threading
 from contextlib import suppress
 
-import numpy as np
-
 from client_app.robots import RobotGroup
 from client_app.state import CheckpointedRobots
 from conf import robot_network
@@ -44,8 +42,7 @@ class UploadingFleet:
 
 
 def initial(config):
-    first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
-    return np.stack([first, first])
+    return robot_network(config).initial_pair(stream(config.seed, Stream.WEIGHTS))
 
 
 def end_of(config, fleet):

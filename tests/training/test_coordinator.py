@@ -554,8 +554,7 @@ def test_robots_learn_from_what_each_world_says(tiny: Tiny, changes: dict[str, A
     """Their replays hold it, also where one world's episode ends while others go on."""
     many = {"train.worlds": 3, "agent.replay_size": 1000, "env.motion.max_slots": 60}
     config = tiny({"train.max_ticks": 200, **many, **changes})
-    first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
-    initial = np.stack([first, first])
+    initial = robot_network(config).initial_pair(stream(config.seed, Stream.WEIGHTS))
     group, world = RobotGroup(config, (0, 1, 2)), RecordedWorld(config)
     group.download(0, initial)
     handlers: list[Any] = [(group.robots, group)]
