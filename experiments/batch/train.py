@@ -15,8 +15,8 @@ from experiments.batch.launcher import build_launcher
 from experiments.batch.states import State, cost_s, folder_of, state_of
 from experiments.batch.watch import Watch
 from experiments.batch.worker import Work
+from experiments.console import PLAIN
 from experiments.console.mishaps import in_words
-from experiments.console.plain import PLAIN
 from experiments.runtimes.folders import check_unlocked, run_lock
 from experiments.runtimes.stopping import ShieldedSignals
 from training.run_folder import RunFolder

@@ -6,7 +6,6 @@ With ``--measured`` plans on the map that robots measured stand beside them.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -55,16 +54,14 @@ ORDER = "in this order: best phases for the policy's motion and power picks, bes
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
-    try:
-        check_place("--json", given.json)
-        if given.noise_db and not given.measured:
-            raise ConfigError(f"--noise-db {given.noise_db:g}: allowed is 0 without --measured.")
-        config, weights = _read(given.what)
-        gathering = sorted(set(given.measured)), given.noise_db
-        results = compare(config, weights, given.episodes, given.slack, given.seed, gathering)
-    except ConfigError as error:
-        print(f"risfleet: {error}", file=sys.stderr)
-        return 2
+    check_place("--json", given.json)
+    if given.noise_db and not given.measured:
+        raise ConfigError(f"--noise-db {given.noise_db:g}: allowed is 0 without --measured.")
+    folder = run_folder(given.what)
+    config = checked(given.what) if folder is None else folder.read_config()
+    weights = None if folder is None else folder.read_weights(config)
+    gathering = sorted(set(given.measured)), given.noise_db
+    results = compare(config, weights, given.episodes, given.slack, given.seed, gathering)
     title = f"{' '.join(given.what) or 'defaults'}: {given.episodes} held-out episodes"
     _show(Console(), title, results)
     if given.json:
@@ -149,17 +146,6 @@ def _refuse(config: Config, measured: bool) -> None:
         refuse(config.env.ris)
 
 
-def _read(
-    what: Sequence[str],
-) -> tuple[Config, tuple[NDArray[np.float32], NDArray[np.float32]] | None]:
-    """The configuration, and a run's weights where a folder is given."""
-    folder = run_folder(what)
-    if folder is None:
-        return checked(list(what)), None
-    config = folder.read_config()
-    return config, folder.read_weights(config)
-
-
 def _shown(starts: Iterable[NDArray[np.int64]]) -> Iterable[NDArray[np.int64]]:
     """Shows how many of the episodes are planned."""
     console = Console(stderr=True)
@@ -211,31 +197,17 @@ def _measure(key: str, value: float) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet oracle", description=__doc__)
-    parser.add_argument(
-        "what", nargs="*", metavar="RUN | KEY=VALUE", help="a run's folder, or keys to set"
-    )
+    say = "a run's folder, or keys to set"
+    parser.add_argument("what", nargs="*", metavar="RUN | KEY=VALUE", help=say)
     parser.add_argument("--episodes", type=positive, default=EPISODES, help="held-out episodes")
-    parser.add_argument(
-        "--slack", type=not_negative, default=SLACK, help="extra slots of a planned path"
-    )
-    parser.add_argument(
-        "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
-    )
-    parser.add_argument(
-        "--measured",
-        type=positive,
-        nargs="+",
-        default=[],
-        metavar="N",
-        help="plan on the map measured in N episodes, too",
-    )
-    parser.add_argument(
-        "--noise-db",
-        type=deviation_db,
-        default=0.0,
-        help="standard deviation of a measured gain in dB",
-    )
-    parser.add_argument(
-        "--json", type=user_path, metavar="FILE", help="write the measures there too"
-    )
+    say = "extra slots of a planned path"
+    parser.add_argument("--slack", type=not_negative, default=SLACK, help=say)
+    say = "seed of the held-out starts, if not the run's"
+    parser.add_argument("--seed", type=not_negative, help=say)
+    say = "plan on the map measured in N episodes, too"
+    parser.add_argument("--measured", type=positive, nargs="+", default=[], metavar="N", help=say)
+    say = "standard deviation of a measured gain in dB"
+    parser.add_argument("--noise-db", type=deviation_db, default=0.0, help=say)
+    say = "write the measures there too"
+    parser.add_argument("--json", type=user_path, metavar="FILE", help=say)
     return parser

@@ -14,7 +14,7 @@ from conf import ConfigError
 from conf.overrides import is_hydras, lines
 from conf.own_groups import folders_of, override_of
 from experiments.batch.search import build_sweeper, check_objective, reached
-from experiments.console.plain import PLAIN
+from experiments.console import PLAIN
 from experiments.console.screen import Screen
 from experiments.runtimes.folders import dated, made, run_lock
 from experiments.runtimes.runner import ERRORS, print_error, train_missing

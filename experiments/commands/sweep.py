@@ -14,7 +14,7 @@ from experiments.batch import train as batch
 from experiments.batch.search import OBJECTIVE
 from experiments.batch.sweeps import DIR, Sweep, planned_sweep, sweep_folder, train_in_turn
 from experiments.commands.search import search
-from experiments.console.plain import PLAIN
+from experiments.console import PLAIN
 from experiments.console.screen import Screen
 from experiments.runtimes.runner import print_error
 

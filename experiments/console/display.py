@@ -15,8 +15,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from experiments.console import PLAIN
 from experiments.console.mishaps import in_words
-from experiments.console.plain import PLAIN
 from training.recording.history import MEASURES
 from training.run_folder import RunFolder
 

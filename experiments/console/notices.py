@@ -8,7 +8,7 @@ from conf import Config
 from env.mdp import lateness
 from env.radio import mounting
 from env.scenario import Scenario
-from experiments.console.plain import PLAIN
+from experiments.console import PLAIN
 
 
 def show(config: Config, console: Console) -> None:

@@ -18,6 +18,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from conf import ConfigError
 from lockstep.messages import MAX_ROBOTS
 from server_app.certificates import alternative_name, certificate_pem, certify, key_pem
 
@@ -27,7 +28,7 @@ LOOPBACK = ("localhost", "127.0.0.1")
 _NODE = "node-"
 
 
-class KeysError(ValueError):
+class KeysError(ConfigError):
     """A user's mistake, in one sentence."""
 
 

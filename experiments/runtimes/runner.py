@@ -10,10 +10,9 @@ from typing import Any
 
 from conf import Config, ConfigError
 from env.plugins import PluginError
-from experiments.console import notices
+from experiments.console import PLAIN, notices
 from experiments.console.display import show_summary
 from experiments.console.mishaps import in_words
-from experiments.console.plain import PLAIN
 from experiments.console.screen import Screen
 from experiments.flower import FlowerError
 from experiments.runtimes import local, on_flower
