@@ -9,11 +9,10 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.plugins.sweeper import Sweeper
-from hydra.types import HydraContext
 from omegaconf import DictConfig
 
 from conf import ConfigError
-from experiments.batch.plugins import instantiated
+from experiments.batch.launcher import build_plugin
 from training.run_folder import RunFolder
 
 MEASURES = ("success", "ee", "ee_bits_per_joule", "sum_rate", "min_rate", "path_ratio")
@@ -32,10 +31,8 @@ def check_objective(text: str) -> str:
     """
     part, _, measure = text.rpartition(".")
     if measure not in MEASURES or part not in ("", *PARTS):
-        allowed = (
-            f"one of {', '.join(MEASURES)}, with one of {', '.join(PARTS)} and a dot before it"
-        )
-        raise ConfigError(f"--objective {text}: allowed is {allowed}.")
+        allowed = f"one of {', '.join(MEASURES)}, with one of {', '.join(PARTS)} and a dot before"
+        raise ConfigError(f"--objective {text}: allowed is {allowed} it.")
     return f"{part or 'greedy'}.{measure}"
 
 
@@ -55,13 +52,7 @@ def reached(folder: RunFolder, objective: str) -> float:
 def build_sweeper(trial: Trial, hydra: Sequence[str], place: Path) -> Sweeper:
     """The sweeper that Hydra overrides name; it maximises, one run after the other.
 
-    Args:
-        trial: what is called for each run.
-        hydra: overrides of Hydra's own keys, such as ``hydra/sweeper=optuna``.
-        place: Hydra's folder for the sweep.
-
-    Raises:
-        ConfigError: an override is wrong, or the sweeper is not installed.
+    Arguments and errors are those of ``build_launcher``.
     """
     # With a seed the same command chooses the same values anew, and finds their runs done.
     ours = ["direction=maximize", "n_jobs=1"]
@@ -72,13 +63,8 @@ def build_sweeper(trial: Trial, hydra: Sequence[str], place: Path) -> Sweeper:
         job = HydraConfig.get()
         return trial(int(job.job.num), list(job.overrides.task))
 
-    def make(context: HydraContext, config: DictConfig) -> Sweeper:
-        return Plugins.instance().instantiate_sweeper(
-            hydra_context=context, task_function=task, config=config
-        )
-
     choices = [item for item in hydra if "/" in item]
     keys = [*ours, *(item for item in hydra if "/" not in item)]
-    sweeper = instantiated(make, choices, place, keys)
+    sweeper = build_plugin(Plugins.instance().instantiate_sweeper, task, [*choices, *keys], place)
     logging.getLogger("optuna").setLevel(logging.WARNING)
     return sweeper

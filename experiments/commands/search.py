@@ -14,8 +14,8 @@ from conf import ConfigError
 from conf.overrides import is_hydras, lines
 from conf.own_groups import folders_of, override_of
 from experiments.batch.search import build_sweeper, check_objective, reached
+from experiments.batch.sweeps import holds_runs_alone
 from experiments.console import PLAIN
-from experiments.console.screen import Screen
 from experiments.runtimes.folders import dated, made, run_lock
 from experiments.runtimes.runner import ERRORS, print_error, train_missing
 from training.preflight import checked_training
@@ -26,11 +26,7 @@ HYDRAS = ("multirun.yaml", "optimization_results.yaml")
 
 
 class SearchEnded(BaseException):  # no error: Hydra would print one
-    """A run did not come to its end, and with it the search.
-
-    Args:
-        status: the exit status.
-    """
+    """A run, and with it the search, ended early with an exit status."""
 
     def __init__(self, status: int) -> None:
         super().__init__(f"ended with status {status}")
@@ -66,25 +62,24 @@ def search(overrides: Sequence[Override], folder: Path | None, objective: str) -
     if own := folders_of(runs):
         hydra = [override_of(own), *hydra]
     build_sweeper(lambda number, values: 0.0, hydra, Path())  # a mistake leaves no folder behind
-    folder = made(_checked(folder) if folder else dated(Path("multirun")))
+    if folder is not None and not holds_runs_alone(folder, HYDRAS):
+        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty, or of a sweep")])
+    folder = made(folder or dated(Path("multirun")))
     console = Console()
     console.print(f"sweep folder: {folder}", **PLAIN)
 
     def trial(number: int, values: Sequence[str]) -> float:
+        own = RunFolder(folder / str(number))
         try:
-            return play(number, values)
+            config = checked_training([*fixed, *values])
+            run = dataclasses.replace(config.run, dir=str(own))
+            console.print(f"run {number}: {' '.join(values)}", **PLAIN)
+            stop = train_missing(dataclasses.replace(config, run=run))
+            if stop is not None and stop.asked:
+                raise SearchEnded(stop.status)
+            found = reached(own, objective)
         except ERRORS as error:
             raise SearchEnded(print_error(error)) from error
-
-    def play(number: int, values: Sequence[str]) -> float:
-        config = checked_training([*fixed, *values])
-        own = RunFolder(folder / str(number))
-        run = dataclasses.replace(config.run, dir=str(own))
-        console.print(f"run {number}: {' '.join(values)}", **PLAIN)
-        stop = train_missing(dataclasses.replace(config, run=run), Screen())
-        if stop is not None and stop.asked:
-            raise SearchEnded(stop.status)
-        found = reached(own, objective)
         console.print(f"run {number}: {objective} is {found:.6g}", **PLAIN)
         return found
 
@@ -95,19 +90,6 @@ def search(overrides: Sequence[Override], folder: Path | None, objective: str) -
             return error.status
     _show_best(console, folder, objective)
     return 0
-
-
-def _checked(folder: Path) -> Path:
-    """The sweep's folder, if it holds nothing but runs, which each say whether they are this one.
-
-    Raises:
-        ConfigError: it holds something else.
-    """
-    held = {*folder.iterdir()} if folder.is_dir() else set()
-    left = {path for path in held if not (path.name.isdigit() and path.is_dir())}
-    if (folder.exists() and not folder.is_dir()) or left - {folder / name for name in HYDRAS}:
-        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty, or of a sweep")])
-    return folder
 
 
 def _show_best(console: Console, folder: Path, objective: str) -> None:

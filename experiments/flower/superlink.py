@@ -38,6 +38,9 @@ class SuperLink:
     removed at the end, so every path that they are given must be absolute.
     """
 
+    poll_s = 1.0
+    """Seconds between questions after a run."""
+
     simulated: int | None = None
     """Nodes that Flower's simulation engine is to run; None where SuperNodes join."""
 

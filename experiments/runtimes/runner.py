@@ -14,7 +14,7 @@ from experiments.console import PLAIN, notices
 from experiments.console.display import show_summary
 from experiments.console.mishaps import in_words
 from experiments.console.screen import Screen
-from experiments.flower import FlowerError
+from experiments.flower.environment import FlowerError
 from experiments.runtimes import local, on_flower
 from experiments.runtimes.folders import new_folder, prepare_run, run_lock
 from experiments.runtimes.stopping import StopSignals

@@ -13,7 +13,9 @@ from typing import Any
 
 import pytest
 
-from experiments.flower import RunState, SimulationSuperLink, Status, control, guard, superlink
+from experiments.flower import control, guard, superlink
+from experiments.flower.control import RunState, Status
+from experiments.flower.engine import SimulationSuperLink
 from experiments.flower.guard import Guard
 from experiments.flower.session import Session
 from repeatable.processes import MARKER, identify

@@ -15,7 +15,7 @@ from train_helpers import ENDLESS, PATIENCE_S, SMALL, Start, is_training, summar
 
 from conf import Config, from_yaml
 from experiments.cli import main
-from experiments.flower import FlowerError
+from experiments.flower.environment import FlowerError
 from experiments.runtimes import local, runner
 from training.run_folder import RunFolder
 

@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.flower import Connection, FlowerError, commands, control, environment, variables
+from experiments.flower import commands, control, environment, variables
+from experiments.flower.connection import Connection
+from experiments.flower.environment import FlowerError
 from experiments.flower.keys import make_keys
 from experiments.flower.session import Session
 

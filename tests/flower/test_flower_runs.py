@@ -31,8 +31,9 @@ from flower_helpers import (
 from safetensors.numpy import load_file
 
 from experiments.cli import main
-from experiments.flower import Components, superlink
+from experiments.flower import superlink
 from experiments.flower.environment import child_environment, free_port
+from experiments.flower.manifest import Components
 from experiments.flower.session import Session
 from repeatable.processes import command, members, terminate
 from storage.checkpoint_files import checkpoints, digest

@@ -13,19 +13,11 @@ from pathlib import Path
 import pytest
 
 from conf import Config, compose
-from experiments.flower import (
-    Connection,
-    Federation,
-    FlowerError,
-    ProcessLostError,
-    RunState,
-    Status,
-    UnansweredError,
-    commands,
-    control,
-    federation,
-    superlink,
-)
+from experiments.flower import commands, control, federation, superlink
+from experiments.flower.connection import Connection
+from experiments.flower.control import RunState, Status
+from experiments.flower.environment import FlowerError, ProcessLostError, UnansweredError
+from experiments.flower.federation import Federation
 from experiments.runtimes import on_flower
 from repeatable.processes import MARKER, members
 from storage.checkpoint_files import CheckpointError

@@ -19,20 +19,11 @@ from pathlib import Path
 import psutil  # type: ignore[import-untyped]
 import pytest
 
-from experiments.flower import (
-    Components,
-    FlowerError,
-    ProcessLostError,
-    RunState,
-    SimulationSuperLink,
-    Status,
-    commands,
-    control,
-    environment,
-    superlink,
-)
-from experiments.flower.control import ControlError
-from experiments.flower.manifest import write_manifest, write_run_config
+from experiments.flower import commands, control, environment, superlink
+from experiments.flower.control import ControlError, RunState, Status
+from experiments.flower.engine import SimulationSuperLink
+from experiments.flower.environment import FlowerError, ProcessLostError
+from experiments.flower.manifest import Components, write_manifest, write_run_config
 from experiments.flower.session import Session
 from repeatable import processes
 from repeatable.processes import MARKER, Process, members, terminate
