@@ -72,12 +72,9 @@ def planned_sweep(overrides: Sequence[str]) -> Iterator[Sweep]:
 def train_in_turn(
     configs: Sequence[Config], screen: Screen, on_failure: Callable[[Exception], object]
 ) -> BatchOutcome:
-    """Trains what is missing of some runs, one after the other in this process.
+    """Trains what is missing of checked runs with ``run.dir``, one after the other.
 
-    Args:
-        configs: checked ones with ``run.dir``.
-        screen: how each is shown.
-        on_failure: told what a run failed of; the others go on.
+    ``on_failure`` is told what a run failed of; the others go on.
     """
     done: list[Path] = []
     failed: dict[Path, str] = {}

@@ -29,6 +29,7 @@ from experiments.console.arguments import (
     positive,
     run_folder,
 )
+from experiments.console.display import measure
 from storage.atomic import write_atomically
 from storage.strict_json import to_json
 from training.evaluation import Evaluator
@@ -158,7 +159,7 @@ def _show(console: Console, title: str, results: dict[str, Any]) -> None:
     for label in COLUMNS.values():
         table.add_column(label, justify="right")
     for name, values in results["measures"].items():
-        table.add_row(name, *(_measure(key, values[key]) for key in COLUMNS))
+        table.add_row(name, *(measure(key, values[key]) for key in COLUMNS))
     console.print(table)
     console.print(UNITS, highlight=False)
     if "measured" in results:
@@ -187,12 +188,6 @@ def _show_gap(console: Console, results: dict[str, Any]) -> None:
         parts.add_row(name, f"{part['mean']:.4f}", interval, f"{part['share']:.1%}")
     console.print(parts)
     console.print(f"Parts {ORDER}, best motion.", highlight=False)
-
-
-def _measure(key: str, value: float) -> str:
-    if value != value:
-        return "-"
-    return format(value, ".4f" if key == "ee" else ".3f")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -11,6 +11,7 @@ from rich.console import Console
 from agent import single_threaded
 from conf import ConfigError
 from conf.user_paths import user_path
+from experiments.console.arguments import port
 from experiments.viewer.follower import Follower
 from experiments.viewer.server import HOST, WatchServer
 from training.run_folder import RunFolder
@@ -43,13 +44,6 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet watch", description=__doc__)
     parser.add_argument("run", metavar="RUN", help="the folder of a run that has begun")
     say = f"to listen on at {HOST}; any free one by default"
-    parser.add_argument("--port", type=_port, default=0, help=say)
+    parser.add_argument("--port", type=port, default=0, help=say)
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
     return parser
-
-
-def _port(text: str) -> int:
-    """An option's port."""
-    if not text.isdecimal() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"{text}: allowed is a whole number from 0 to 65535")
-    return int(text)

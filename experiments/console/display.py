@@ -68,17 +68,17 @@ def seconds_left(status: dict[str, Any]) -> float | None:
 def describe(status: dict[str, Any]) -> list[tuple[str, str]]:
     """The labelled figures of a run's progress."""
     left = seconds_left(status)
-    frozen = status["evaluated"]
+    minutes, seconds = divmod(round(left or 0), 60)
     return [
         ("", str(status["state"])),
         ("episode", f"{status['episode']}/{status['episodes']}"),
         ("tick", str(status["tick"])),
         ("success", _number(status["success"], ".2f")),
-        ("frozen", _number(frozen, ".2f")),
+        ("frozen", _number(status["evaluated"], ".2f")),
         ("reward", _number(status["reward"], ".0f")),
         ("EE", _number(status["ee"], ".4f")),
         ("steps/s", _number(status["steps_per_s"] or None, ".0f")),
-        ("left", "-" if left is None else _duration(left)),
+        ("left", "-" if left is None else f"{minutes}:{seconds:02d}"),
     ]
 
 
@@ -86,18 +86,10 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"
-
-
 class Showing(ABC):
     """Shows something from a thread of its own, until the block that it is entered for ends.
 
     What goes wrong with it is said in a line, and the block goes on without.
-
-    Args:
-        name: the thread's.
     """
 
     def __init__(self, name: str) -> None:
@@ -134,14 +126,9 @@ class Showing(ABC):
 
 
 class Display(Showing):
-    """Shows the progress of a run while it lasts, from what it writes to its folder.
+    """Shows the progress of a run of any runtime, from what it writes to its folder.
 
-    Live on a terminal; elsewhere a plain line every ten seconds. It reads files only, so it shows
-    every runtime alike.
-
-    Args:
-        folder: the run's.
-        console: where to show.
+    Live on a terminal; elsewhere a plain line every ten seconds.
     """
 
     def __init__(self, folder: RunFolder, console: Console) -> None:
@@ -191,22 +178,18 @@ def panel(status: dict[str, Any]) -> Table:
 
 
 def evaluation_table(title: str, columns: dict[str, dict[str, float]]) -> Table:
-    """A table of evaluations, a column each.
-
-    Args:
-        title: above the table.
-        columns: from a column's name to its measures.
-    """
+    """A table of evaluations, a column with its measures each."""
     table = Table(title=Text(title), title_justify="left")
     table.add_column("")
     for name in columns:
         table.add_column(name, justify="right")
     for key, label in LABELS.items():
-        table.add_row(label, *(_measure(key, values.get(key)) for values in columns.values()))
+        table.add_row(label, *(measure(key, values.get(key)) for values in columns.values()))
     return table
 
 
-def _measure(key: str, value: float | None) -> str:
+def measure(key: str, value: float | None) -> str:
+    """A measure of an evaluation as it is shown, by its name in ``MEASURES``."""
     if value is None or value != value:
         return "-"
     return format(value, ".4f" if key == "ee" else ".3f")

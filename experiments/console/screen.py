@@ -35,24 +35,13 @@ class Screen:
 
 
 def screen_of(progress: bool | Reporter) -> Screen:
-    """The screen that a caller of Python asks for.
-
-    Args:
-        progress: True for a terminal's or a notebook's, False for none, or a function that is
-            called with the progress.
-    """
+    """The screen of a terminal or notebook if True, of none if False, or of a function."""
     if callable(progress):
         return Screen(Console(quiet=True), partial(Reports, progress))
     if not progress:
-        return Screen(Console(quiet=True), _nothing)
+        return Screen(Console(quiet=True), lambda folder, console: nullcontext())
     console = Console()
-    if console.is_jupyter:
-        return Screen(console, CellDisplay, in_notebook=True)
-    return Screen(console)
-
-
-def _nothing(folder: RunFolder, console: Console) -> AbstractContextManager[None]:
-    return nullcontext()
+    return Screen(console, CellDisplay, True) if console.is_jupyter else Screen(console)
 
 
 class Cell:
@@ -72,12 +61,7 @@ class Cell:
 
 
 class CellDisplay(Showing):
-    """Shows a run's progress in a notebook's cell, where its last state stays.
-
-    Args:
-        folder: the run's.
-        console: not used: what changes has no place there.
-    """
+    """Shows a run's progress in a notebook's cell, where its last state stays; needs no console."""
 
     def __init__(self, folder: RunFolder, console: Console) -> None:
         super().__init__("cell")
@@ -97,13 +81,7 @@ class CellDisplay(Showing):
 
 
 class Reports(Showing):
-    """Tells a function how a run goes on, whenever that changes, and at its end.
-
-    Args:
-        tell: the function.
-        folder: the run's.
-        console: not used.
-    """
+    """Tells a function how a run goes on, whenever that changes, and at its end."""
 
     def __init__(self, tell: Reporter, folder: RunFolder, console: Console) -> None:
         super().__init__("reports")

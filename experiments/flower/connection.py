@@ -25,10 +25,7 @@ class Connection:
     """Seconds between questions: each is a command that takes more than a second of CPU."""
 
     def __init__(self, name: str) -> None:
-        """Prepare.
-
-        Args:
-            name: of the connection, in the file ``config.toml`` of Flower's home.
+        """Takes a connection's name, of the file ``config.toml`` in Flower's home.
 
         Raises:
             FlowerError: there is no such connection, or it leaves this machine unencrypted.
@@ -39,13 +36,13 @@ class Connection:
         self._running: int | None = None
 
     def __enter__(self) -> Self:
-        """Make a place for the files of a run."""
+        """Makes a place for the files of a run."""
         self._session = Session()
         self._session.environment = user_environment(self._session.marker)
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop the run if it has not ended; that it cannot be stopped hides no other error."""
+        """Stops the run if it has not ended; that it cannot be stopped hides no other error."""
         assert self._session is not None
         try:
             if self._running is not None:
@@ -59,7 +56,7 @@ class Connection:
             self._session.stop()
 
     def submit(self, overrides: str) -> int:
-        """Hand in a run of the app; returns its number.
+        """Hands in a run of the app; returns its number.
 
         Raises:
             FlowerError: Flower refuses.

@@ -36,13 +36,10 @@ Runner = SuperLink | Connection
 def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) -> dict[str, Any]:
     """Trains on Flower: on processes of this run's own, which end with it, or on a federation.
 
-    Args:
-        config: with an absolute ``run.dir`` and a ``run.id``.
-        folder: the run's folder.
-        resumed: where the run goes on, if it does not begin.
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
 
     Returns:
-        What ``summary.json`` holds; where the ServerApp's machine is another, that it is there.
+        What ``summary.json`` holds; nothing where the ServerApp's machine is another.
 
     Raises:
         FlowerError: Flower or the run failed; the message holds the end of the log.
