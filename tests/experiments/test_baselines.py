@@ -55,7 +55,8 @@ def test_what_was_trained_is_played_and_compared_like_any_run(
     tiny_overrides: tuple[str, ...], tmp_path: Path, what: tuple[str, ...]
 ) -> None:
     folder, out = tmp_path / "run", tmp_path / "out.json"
-    given = [*tiny_overrides, "env.robots=2", *what, f"run.dir={folder}"]
+    short = ("env.robots=2", "train.max_ticks=20", "evaluation.episodes=2")
+    given = [*tiny_overrides, *short, *what, f"run.dir={folder}"]
     assert main(["train", *given]) == 0
     summary = json.loads((folder / "summary.json").read_text())
     found = evaluated(out, str(folder))

@@ -18,6 +18,8 @@ from experiments.flower.environment import FlowerError
 from experiments.flower.keys import make_keys
 from experiments.flower.session import Session
 
+pytestmark = pytest.mark.usefixtures("swift")
+
 SOCKS = "socks5://127.0.0.1:9"
 LEADS_ELSEWHERE = {
     **dict.fromkeys(("all_proxy", "ALL_PROXY", "http_proxy", "HTTPS_PROXY"), SOCKS),

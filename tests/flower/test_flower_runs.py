@@ -48,7 +48,7 @@ ELSEWHERE = {
     "RAY_ADDRESS": "127.0.0.1:9",
     "FLWR_OIDC_ENABLED": "1",
 }
-LENGTH = ("train.max_ticks=150", "federation.every=25")
+LENGTH = ("train.max_ticks=50", "federation.every=25")
 MANY = (
     "train.worlds=4",
     "env.reward.credit=difference",
@@ -118,7 +118,7 @@ def expected(tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFac
 @pytest.mark.flower
 @pytest.mark.parametrize(
     ("clients", "per_round", "task"),
-    [(3, 1, MANY), pytest.param(2, "null", (), marks=pytest.mark.slow)],
+    [(2, 1, MANY), pytest.param(2, "null", (), marks=pytest.mark.slow)],
     ids=["many_worlds", "two_clients"],
 )
 def test_the_simulation_ends_in_the_bits_of_one_process(
@@ -137,7 +137,7 @@ def test_the_simulation_ends_in_the_bits_of_one_process(
     assert status == 0, said.err
     found = summary(tmp_path / "run")
     assert found["digest"] == expected(*task)
-    assert (found["runtime"], found["ticks"], found["windows"]) == ("simulation", 150, 6)
+    assert (found["runtime"], found["ticks"], found["windows"]) == ("simulation", 50, 2)
     assert found["flower_share"] > 0
     assert found["costs"]["bytes_to_robots"] > 0
     arrays = load_file(tmp_path / "run" / "weights.safetensors")
@@ -152,9 +152,9 @@ def test_the_simulation_ends_in_the_bits_of_one_process(
 @pytest.mark.parametrize(
     "changes",
     [
-        ["runtime.secure=true"],
+        ["federation.clients=2", "runtime.secure=true"],
         pytest.param(["federation.clients=1"], marks=pytest.mark.slow),
-        pytest.param(["federation.windows_per_round=3"], marks=pytest.mark.slow),
+        pytest.param(["federation.windows_per_round=1"], marks=pytest.mark.slow),
         pytest.param(["federation.clients=2", *MANY], marks=pytest.mark.slow),
     ],
     ids=["secure", "one_client", "two_rounds", "many_worlds"],
@@ -172,12 +172,12 @@ def test_a_deployment_ends_in_the_bits_of_one_process(
     found = summary(tmp_path / "run")
     task = [change for change in changes if change in MANY]
     assert found["digest"] == expected(*task)
-    assert (found["runtime"], found["windows"], found["losses"]) == ("deployment", 6, [])
+    assert (found["runtime"], found["windows"], found["losses"]) == ("deployment", 2, [])
     clients = {"federation.clients=1": 1, "federation.clients=2": 2}.get(changes[0], 3)
     assert len(found["clients"]) == clients
     assert all(client["cpu_s"] > 0 for client in found["clients"])
     log = (tmp_path / "run" / "flower.log").read_text(errors="replace")
-    secure = changes == ["runtime.secure=true"]
+    secure = "runtime.secure=true" in changes
     assert log.count(f"with{'' if secure else 'out'} TLS") >= clients
     assert ("https://127.0.0.1" in log) is secure
     assert len(sessions) == 1

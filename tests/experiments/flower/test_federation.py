@@ -23,9 +23,10 @@ from repeatable.processes import MARKER, members
 from storage.checkpoint_files import CheckpointError
 from training.run_folder import RunFolder
 
-pytestmark = pytest.mark.skipif(
-    not Path("/proc/self/environ").exists(), reason="finds processes in /proc"
-)
+pytestmark = [
+    pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes in /proc"),
+    pytest.mark.usefixtures("swift"),
+]
 
 SUPERLINK = """
     import http.server, sys

@@ -27,7 +27,10 @@ with open(sys.argv[1], "w") as file:
 """
 """Leaves a process behind that has neither its parent nor the variables named."""
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="reads /proc"),
+    pytest.mark.usefixtures("unguarded"),
+]
 
 
 @pytest.fixture

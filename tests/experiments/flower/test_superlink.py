@@ -29,6 +29,7 @@ from repeatable import processes
 from repeatable.processes import MARKER, Process, members, terminate
 from training.engine_limits import max_concurrent_clients
 
+pytestmark = pytest.mark.usefixtures("unguarded")
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
 
 HEALTHY = """
@@ -43,7 +44,9 @@ HEALTHY = """
 
 
 @pytest.fixture
-def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], None]:
+def fake(
+    tmp_path: Path, swift: None, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str, str], None]:
     """Puts a Python script in the place of one of Flower's commands."""
 
     def install(name: str, script: str) -> None:
@@ -196,7 +199,7 @@ def test_a_command_that_gives_no_answer_is_ended_with_an_error() -> None:
     session = Session()
     try:
         with pytest.raises(FlowerError, match="gave no answer"):
-            session.run([sys.executable, "-c", "import time; time.sleep(600)"], timeout_s=0.5)
+            session.run([sys.executable, "-c", "import time; time.sleep(600)"], timeout_s=0.1)
     finally:
         session.stop()
 
@@ -252,7 +255,7 @@ def test_a_superlink_that_never_answers_is_ended(
     tmp_path: Path, fake: Callable[[str, str], None]
 ) -> None:
     fake("flower-superlink", "import time; time.sleep(600)")
-    launcher = SimulationSuperLink(log_path=tmp_path / "log", start_timeout_s=1.0)
+    launcher = SimulationSuperLink(log_path=tmp_path / "log", start_timeout_s=0.6)
     with pytest.raises(FlowerError, match="did not answer within 1 s"), launcher:
         pass
     assert members(marker_of(tmp_path)) == set()
