@@ -18,8 +18,7 @@ def composed() -> Compose:
     defaults = compose()
 
     def make(overrides: Sequence[str]) -> Config:
-        keys = [override.partition("=")[0] for override in overrides]
-        chooses = any(key in GROUPS or not key[:1].isalpha() for key in keys)
-        return compose(overrides) if chooses else overridden(defaults, overrides)
+        needed = any(item.partition("=")[0] in GROUPS or "${" in item for item in overrides)
+        return compose(overrides) if needed else overridden(defaults, overrides)
 
     return make

@@ -12,7 +12,7 @@ from conf import ConfigError, compose
     [
         (["federation.own=tail"], "one of none, heads, trunk, input, normalisation"),
         (["federation.own=heads", "strategy.name=none"], "none with strategy=none"),
-        (["federation.own=heads", "strategy.name=fedadam"], "none with strategy=fedadam"),
+        (["federation.own=heads", "strategy=fedadam"], "none with strategy=fedadam"),
         (["federation.own=heads", "strategy.name=gossip"], "none with strategy=gossip"),
         (["federation.own=heads", "experiment=building"], "none in a building"),
         (["strategy.name=gossip", "experiment=building"], "any other in a building"),
