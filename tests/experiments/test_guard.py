@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -40,14 +40,6 @@ def kill(watched: Guard) -> int:
     os.kill(process.pid, signal.SIGKILL)
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     return process.pid
-
-
-@pytest.fixture
-def session() -> Iterator[Session]:
-    """A session that is stopped at the end."""
-    made = Session()
-    yield made
-    made.stop()
 
 
 def test_a_session_whose_watchdog_died_starts_processes_and_stops(session: Session) -> None:

@@ -7,7 +7,6 @@ import os
 import ssl
 import sys
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -66,14 +65,6 @@ def desktop(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment of a user who has set everything."""
     for name, value in (LEADS_ELSEWHERE | NEEDED).items():
         monkeypatch.setenv(name, value)
-
-
-@pytest.fixture
-def session() -> Iterator[Session]:
-    """A session that is stopped at the end."""
-    made = Session()
-    yield made
-    made.stop()
 
 
 def seen(session: Session) -> dict[str, str]:

@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -31,14 +30,6 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="reads /proc"),
     pytest.mark.usefixtures("unguarded"),
 ]
-
-
-@pytest.fixture
-def session() -> Iterator[Session]:
-    """A session that is stopped at the end."""
-    made = Session()
-    yield made
-    made.stop()
 
 
 def orphan(session: Session, said: Path, *lost: str) -> Process:

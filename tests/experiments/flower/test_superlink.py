@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import textwrap
-import time
 import tomllib
 import zipfile
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]
 import pytest
+from process_helpers import HEALTHY, wait_until
 
 from experiments.flower import commands, control, environment, superlink
 from experiments.flower.control import ControlError, RunState, Status
@@ -31,16 +31,6 @@ from training.engine_limits import max_concurrent_clients
 
 pytestmark = pytest.mark.usefixtures("unguarded")
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
-
-HEALTHY = """
-    import http.server, sys
-    class Handler(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200); self.end_headers()
-        def do_POST(self):
-            self.send_error(404)
-    http.server.HTTPServer(("127.0.0.1", int(sys.argv[-1])), Handler).serve_forever()
-"""
 
 
 @pytest.fixture
@@ -70,13 +60,6 @@ def healthy(tmp_path: Path, fake: Callable[[str, str], None]) -> Iterator[Simula
 
 def marker_of(tmp_path: Path) -> str:
     return (tmp_path / "marker").read_text()
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 300
-    while not condition():
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.05)
 
 
 # --- Processes ---
