@@ -25,6 +25,7 @@ from env.radio.radio_map import RadioMap, build_radio_map
 from env.rendering.drawing import best_gain_db, draw_floor
 from env.seeding import Stream, stream
 from experiments.console.arguments import check_place
+from experiments.console.display import table
 from storage.atomic import write_atomically
 from storage.strict_json import to_json
 from training.preflight import checked
@@ -159,13 +160,11 @@ def _table(config: EnvConfig, measures: dict[str, dict[str, float | None]]) -> T
     ris = config.ris
     response = "from a file" if config.channel.model == "file" else ris.response
     title = f"Mean gain over no RIS in dB\n{response}, M_R = {ris.side}, N_R = {2**ris.bits}"
-    table = Table(title=title, title_justify="left")
-    table.add_column("phases")
-    for column in ("all cells", "AP's shadow"):
-        table.add_column(column, justify="right")
-    for name, found in measures.items():
-        table.add_row(name, *(_cell(found[key]) for key in ("all_db", "shadow_db")))
-    return table
+    rows = (
+        (name, _cell(found["all_db"]), _cell(found["shadow_db"]))
+        for name, found in measures.items()
+    )
+    return table(title, ("phases", "all cells", "AP's shadow"), rows)
 
 
 def _cell(value: float | None) -> str:

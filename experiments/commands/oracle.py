@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
-from rich.text import Text
 
 from agent import single_threaded
 from conf import Config, ConfigError
@@ -29,7 +27,7 @@ from experiments.console.arguments import (
     positive,
     run_folder,
 )
-from experiments.console.display import measure
+from experiments.console.display import measure, table
 from storage.atomic import write_atomically
 from storage.strict_json import to_json
 from training.evaluation import Evaluator
@@ -154,40 +152,34 @@ def _shown(starts: Iterable[NDArray[np.int64]]) -> Iterable[NDArray[np.int64]]:
 
 
 def _show(console: Console, title: str, results: dict[str, Any]) -> None:
-    table = Table(title=Text(title), title_justify="left")
-    table.add_column("")
-    for label in COLUMNS.values():
-        table.add_column(label, justify="right")
-    for name, values in results["measures"].items():
-        table.add_row(name, *(measure(key, values[key]) for key in COLUMNS))
-    console.print(table)
+    rows: Iterable[Sequence[str]] = (
+        (name, *(measure(key, values[key]) for key in COLUMNS))
+        for name, values in results["measures"].items()
+    )
+    console.print(table(title, ("", *COLUMNS.values()), rows))
     console.print(UNITS, highlight=False)
     if "measured" in results:
-        _show_measured(console, results)
+        rows = (
+            (name, f"{one['share']:.1%}", f"{one['cells_seen']:.1%}", f"{one['bytes_up']:,}")
+            for name, one in results["measured"].items()
+        )
+        columns = ("", "of the trajectory's EE", "cells seen", "bytes up")
+        console.print(table("plans on the map that robots measured", columns, rows))
+        say = "Measured before these episodes; nothing learns from rewards."
+        console.print(say, highlight=False)
     if "gap" in results:
-        _show_gap(console, results)
-
-
-def _show_measured(console: Console, results: dict[str, Any]) -> None:
-    table = Table(title="plans on the map that robots measured", title_justify="left")
-    for label in ("", "of the trajectory's EE", "cells seen", "bytes up"):
-        table.add_column(label, justify="right" if label else "left")
-    for name, each in results["measured"].items():
-        shares = (f"{each[key]:.1%}" for key in ("share", "cells_seen"))
-        table.add_row(name, *shares, f"{each['bytes_up']:,}")
-    console.print(table)
-    console.print("Measured before these episodes; nothing learns from rewards.", highlight=False)
-
-
-def _show_gap(console: Console, results: dict[str, Any]) -> None:
-    parts = Table(title="what the policy leaves of the trajectory's EE", title_justify="left")
-    for name in ("", "EE (bit/s/Hz/J)", "95 % interval", "share"):
-        parts.add_column(name, justify="right" if name else "left")
-    for name, part in results["gap"].items():
-        interval = f"{part['low']:.4f} to {part['high']:.4f}"
-        parts.add_row(name, f"{part['mean']:.4f}", interval, f"{part['share']:.1%}")
-    console.print(parts)
-    console.print(f"Parts {ORDER}, best motion.", highlight=False)
+        rows = (
+            (
+                name,
+                f"{part['mean']:.4f}",
+                f"{part['low']:.4f} to {part['high']:.4f}",
+                f"{part['share']:.1%}",
+            )
+            for name, part in results["gap"].items()
+        )
+        columns = ("", "EE (bit/s/Hz/J)", "95 % interval", "share")
+        console.print(table("what the policy leaves of the trajectory's EE", columns, rows))
+        console.print(f"Parts {ORDER}, best motion.", highlight=False)
 
 
 def _parser() -> argparse.ArgumentParser:

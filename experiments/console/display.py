@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Self
 
 from rich.console import Console
@@ -124,6 +124,14 @@ class Showing(ABC):
     def _run(self) -> None:
         """Shows, until ``_ended`` is set."""
 
+    def _statuses(self, folder: RunFolder) -> Iterator[tuple[dict[str, Any], bool]]:
+        """What a run says of itself, again and again, and whether it is for the last time."""
+        ended = False
+        while not ended:
+            ended = self._ended.wait(POLL_S)
+            if (status := folder.read_progress()) is not None:
+                yield status, ended
+
 
 class Display(Showing):
     """Shows the progress of a run of any runtime, from what it writes to its folder.
@@ -140,27 +148,18 @@ class Display(Showing):
             self._print_lines()
             return
         with Live(console=self._console, refresh_per_second=4, transient=True) as live:
-            while not self._ended.wait(POLL_S):
-                if (status := self._folder.read_progress()) is not None:
-                    live.update(panel(status))
+            for status, _ in self._statuses(self._folder):
+                live.update(panel(status))
 
     def _print_lines(self) -> None:
         shown, printed = "", 0.0
-        while True:
-            ended = self._ended.wait(POLL_S)
-            status = self._folder.read_progress()
+        for status, ended in self._statuses(self._folder):
             due = not ended and time.monotonic() - printed >= LINE_PERIOD_S
-            if status is not None and (due or status["state"] != shown):
+            if due or status["state"] != shown:
                 shown, printed = status["state"], time.monotonic()
-                self._print_line(status)
-            if ended:
-                return
-
-    def _print_line(self, status: dict[str, Any]) -> None:
-        line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
-        if status["state"] == "waiting":
-            line = f"waiting: {status['message']}"
-        self._console.print(line, **PLAIN)
+                line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
+                waiting = f"waiting: {status['message']}"
+                self._console.print(waiting if shown == "waiting" else line, **PLAIN)
 
 
 def panel(status: dict[str, Any]) -> Table:
@@ -179,13 +178,21 @@ def panel(status: dict[str, Any]) -> Table:
 
 def evaluation_table(title: str, columns: dict[str, dict[str, float]]) -> Table:
     """A table of evaluations, a column with its measures each."""
-    table = Table(title=Text(title), title_justify="left")
-    table.add_column("")
-    for name in columns:
-        table.add_column(name, justify="right")
-    for key, label in LABELS.items():
-        table.add_row(label, *(measure(key, values.get(key)) for values in columns.values()))
-    return table
+    rows = (
+        (label, *(measure(key, values.get(key)) for values in columns.values()))
+        for key, label in LABELS.items()
+    )
+    return table(title, ("", *columns), rows)
+
+
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """A table whose first column holds names, and all others numbers."""
+    made = Table(title=Text(title), title_justify="left")
+    for place, name in enumerate(columns):
+        made.add_column(name, justify="right" if place else "left")
+    for row in rows:
+        made.add_row(*row)
+    return made
 
 
 def measure(key: str, value: float | None) -> str:

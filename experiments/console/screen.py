@@ -11,7 +11,7 @@ from typing import Any, Self
 from rich.console import Console, RenderableType
 from rich.text import Text
 
-from experiments.console.display import POLL_S, Display, Showing, panel
+from experiments.console.display import Display, Showing, panel
 from training.run_folder import RunFolder
 
 Reporter = Callable[[dict[str, Any]], object]
@@ -73,11 +73,8 @@ class CellDisplay(Showing):
         return super().__enter__()
 
     def _run(self) -> None:
-        ended = False
-        while not ended:
-            ended = self._ended.wait(POLL_S)
-            if (status := self._folder.read_progress()) is not None:
-                self._cell.show(panel(status))
+        for status, _ in self._statuses(self._folder):
+            self._cell.show(panel(status))
 
 
 class Reports(Showing):
@@ -88,10 +85,8 @@ class Reports(Showing):
         self._tell, self._folder = tell, folder
 
     def _run(self) -> None:
-        ended, told = False, None
-        while not ended:
-            ended = self._ended.wait(POLL_S)
-            status = self._folder.read_progress()
-            if status is not None and status != told:
+        told = None
+        for status, _ in self._statuses(self._folder):
+            if status != told:
                 told = status
                 self._tell(dict(status))

@@ -24,6 +24,8 @@ class Connection:
     poll_s = 5.0
     """Seconds between questions: each is a command that takes more than a second of CPU."""
 
+    _session: Session
+
     def __init__(self, name: str) -> None:
         """Takes a connection's name, of the file ``config.toml`` in Flower's home.
 
@@ -32,7 +34,6 @@ class Connection:
         """
         _check(name)
         self._name = name
-        self._session: Session | None = None
         self._running: int | None = None
 
     def __enter__(self) -> Self:
@@ -43,7 +44,6 @@ class Connection:
 
     def __exit__(self, *error: object) -> None:
         """Stops the run if it has not ended; that it cannot be stopped hides no other error."""
-        assert self._session is not None
         try:
             if self._running is not None:
                 commands.stop_run(self._session, self._running, self._name)
@@ -61,7 +61,6 @@ class Connection:
         Raises:
             FlowerError: Flower refuses.
         """
-        assert self._session is not None
         self._running = commands.submit_run(
             self._session, overrides, Components(), connection=self._name
         )
@@ -73,7 +72,6 @@ class Connection:
         Raises:
             UnansweredError: the SuperLink does not answer.
         """
-        assert self._session is not None
         status = commands.run_status(self._session, run_id, self._name)
         if status.finished:
             self._running = None
@@ -81,7 +79,6 @@ class Connection:
 
     def log_tail(self, run_id: int, lines: int = 30) -> str:
         """Last lines of what the ServerApp has printed, none where they cannot be had."""
-        assert self._session is not None
         with suppress(FlowerError):
             return tail(commands.run_log(self._session, run_id, self._name), lines)
         return ""

@@ -121,7 +121,7 @@ class IgnoredSignals:
 
     def __enter__(self) -> None:
         """Handles the signals, by doing nothing: a handler is not inherited, unlike a mask."""
-        self._before = {number: signal.signal(number, _do_nothing) for number in STOPPING}
+        self._before = {number: signal.signal(number, lambda *_: None) for number in STOPPING}
         self._mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
 
     def __exit__(self, *error: object) -> None:
@@ -129,7 +129,3 @@ class IgnoredSignals:
         signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
         for number, handler in self._before.items():
             signal.signal(number, handler)
-
-
-def _do_nothing(number: int, frame: FrameType | None) -> None:
-    pass

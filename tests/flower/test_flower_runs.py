@@ -9,7 +9,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import sysconfig
 import uuid
 import zipfile
@@ -21,11 +20,11 @@ import pytest
 from flower_helpers import (
     PATIENCE_S,
     digests_in_one_process,
-    marker_below,
     start,
     state_of,
     summary,
     wait_until,
+    watched,
     with_changes,
 )
 from safetensors.numpy import load_file
@@ -194,20 +193,14 @@ def test_a_deployment_outlives_a_killed_process(
     folder = tmp_path / "run"
     given = with_changes(tiny_overrides, *length, "runtime=deployment", f"run.dir={folder}")
     process = start(given, tmp_path)
-    marker = ""
-    try:
+    with watched(process) as marker_of:
         wait_until(lambda: len(checkpoints(server_folder(folder / "state"))) > 1, process)
-        marker = marker_below(process)
+        marker = marker_of()
         victim = next(row for row in members(marker) if role in command(row))
         os.kill(victim.pid, signal.SIGKILL)
         _, errors = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, errors
         assert members(marker) == set()
-    finally:
-        if marker:
-            terminate(marker)
-        process.kill()
-        process.communicate()
     whole = with_changes(tiny_overrides, *length, f"run.dir={tmp_path / 'whole'}")
     assert main(["train", *whole]) == 0
     assert summary(folder)["digest"] == summary(tmp_path / "whole")["digest"]
@@ -226,11 +219,9 @@ def test_ctrl_c_ends_a_simulation_with_what_it_has_learned_and_a_resume_goes_on(
     changes = ["train.max_ticks=null", "train.episodes=100000000", "runtime=simulation"]
     given = with_changes(tiny_overrides, *changes, "federation.clients=2", f"run.dir={folder}")
     process = start(given, tmp_path)
-    marker = ""
-    try:
+    with watched(process) as marker_of:
         wait_until(lambda: state_of(folder) == "training", process)
-        marker = marker_below(process)
-        assert marker
+        marker = marker_of()
         process.send_signal(signal.SIGINT)
         printed, errors = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 130, errors
@@ -241,11 +232,6 @@ def test_ctrl_c_ends_a_simulation_with_what_it_has_learned_and_a_resume_goes_on(
         assert digest(robots) == found["digest"]["robots"]
         assert not (folder / "stop").exists()
         assert members(marker) == set()
-    finally:
-        if marker:
-            terminate(marker)
-        process.kill()
-        process.communicate()
     later = f"train.max_ticks={found['ticks'] + 30}"
     assert main(["train", f"resume={folder}", later]) == 0
     whole = with_changes(tiny_overrides, *changes[1:2], later, f"run.dir={tmp_path / 'whole'}")
@@ -261,22 +247,13 @@ def test_a_killed_simulation_leaves_no_process_and_is_resumed_to_the_same_bits(
     folder = tmp_path / "run"
     length = ("train.max_ticks=3000", "train.episodes=100000000", "state.every=3")
     given = with_changes(tiny_overrides, *length, "runtime=simulation", f"run.dir={folder}")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli", "train", *given],
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    marker = ""
-    try:
+    process = start(given, tmp_path)
+    with watched(process) as marker_of:
         wait_until(lambda: len(checkpoints(server_folder(folder / "state"))) >= 2, process)
-        marker = marker_below(process)
+        marker = marker_of()
         process.kill()
         process.wait()
         wait_until(lambda: members(marker) == set())
-    finally:
-        if marker:
-            terminate(marker)
     assert not (folder / "summary.json").exists()
     assert main(["train", f"resume={folder}"]) == 0
     whole = with_changes(tiny_overrides, *length, f"run.dir={tmp_path / 'whole'}")

@@ -18,7 +18,7 @@ import pytest
 
 import risfleet
 from experiments.cli import main
-from experiments.console import screen
+from experiments.console import display
 from experiments.runtimes import local, runner
 from training.run_folder import RunFolder
 
@@ -29,7 +29,7 @@ ENDLESS = ("train.max_ticks=null", "train.episodes=100000000")
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(screen, "POLL_S", 0.02)
+    monkeypatch.setattr(display, "POLL_S", 0.02)
 
 
 @pytest.fixture
