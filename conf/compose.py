@@ -22,6 +22,7 @@ from conf.checks import problems
 from conf.errors import ConfigError, first_sentence, sentence
 from conf.overrides import FOLDER, lines, parse, schema_node
 from conf.own_groups import located_plan
+from conf.removed_keys import drop_removed
 from conf.schema import Config
 from conf.user_paths import CHANNELS, PATHS
 from env.checks import planned_config
@@ -157,7 +158,7 @@ def to_yaml(config: Config) -> str:
 
 @lru_cache(maxsize=8)
 def from_yaml(text: str) -> Config:
-    """Reads what ``to_yaml`` wrote.
+    """Reads what ``to_yaml`` wrote, here or in an earlier version.
 
     Raises:
         ConfigError: it does not fit this version's schema.
@@ -168,4 +169,5 @@ def from_yaml(text: str) -> Config:
         raise ConfigError(f"the configuration is no YAML: {first_sentence(error)}.") from error
     if not isinstance(node, DictConfig):
         raise ConfigError("the configuration is no mapping of keys to values.")
+    drop_removed(node)
     return from_node(node)

@@ -48,8 +48,7 @@ def td_target(
 
     Args:
         rewards: shape (n, B).
-        terminal: 1 where the episode ended for good, else 0, or between for a return of several
-            slots (`agent.replay.uniform.RowLayout`), shape (n, B).
+        terminal: 1 where the episode ended for good, else 0, shape (n, B).
         next_values: V(s'), shape (n, B).
         discount: at least 0 and below 1, or one of each n, shape (n, 1).
 
