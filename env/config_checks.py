@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from env import plugins, validate
+from env.arrays import Bools, Floats, Ints
 from env.config import MAX_CELLS, MAX_PHASE_ACTIONS, EnvConfig, RoomConfig
 from env.geometry.distances import distance_m
 from env.geometry.floor import Floor
@@ -141,9 +141,7 @@ def _way_problems(config: EnvConfig) -> list[Problem]:
     return [("env.tasks.start_distance_m", tasks.start_distance_m, allowed)]
 
 
-def _farthest_m(
-    floor: Floor, drivable: NDArray[np.bool_], cells: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _farthest_m(floor: Floor, drivable: Bools, cells: Ints) -> Floats:
     """From each cell to the farthest drivable one, which is the first or the last of its row."""
     rows = drivable.reshape(floor.rows, floor.columns)
     first, last = rows.argmax(axis=1), floor.columns - 1 - rows[:, ::-1].argmax(axis=1)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Ints
 from env.mdp.reward import bits_per_joule, energy_efficiency
 from env.world import StepResult, World
 
@@ -31,18 +32,18 @@ class EpisodeMeasures:
         slots: length of the episode, shape (B,).
     """
 
-    success: NDArray[np.float64]
-    path_ratio: NDArray[np.float64]
-    reward: NDArray[np.float64]
-    ee: NDArray[np.float64]
-    ee_bits_per_joule: NDArray[np.float64]
-    sum_rate: NDArray[np.float64]
-    min_rate: NDArray[np.float64]
-    sic_violations: NDArray[np.float64]
-    projections: NDArray[np.float64]
-    slots: NDArray[np.int64]
+    success: Floats
+    path_ratio: Floats
+    reward: Floats
+    ee: Floats
+    ee_bits_per_joule: Floats
+    sum_rate: Floats
+    min_rate: Floats
+    sic_violations: Floats
+    projections: Floats
+    slots: Ints
 
-    def of(self, worlds: slice | NDArray[np.bool_]) -> EpisodeMeasures:
+    def of(self, worlds: slice | Bools) -> EpisodeMeasures:
         """The measures of some of the worlds."""
         return EpisodeMeasures(*(getattr(self, f.name)[worlds] for f in fields(self)))
 
@@ -93,7 +94,7 @@ class EpisodeAccumulator:
         self._failed += outcome.allocation.sic_failed.sum(axis=-1)
         self._projected += outcome.allocation.projected
 
-    def restart(self, worlds: NDArray[np.bool_]) -> None:
+    def restart(self, worlds: Bools) -> None:
         """Forgets the episodes of worlds that have just been restarted, shape (B,)."""
         for name in _COUNTS:
             getattr(self, f"_{name}")[worlds] = 0

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Floats32
 from env.mdp.observation import CHANNEL, scaled_channel
 from env.scenario import Scenario
 
@@ -42,11 +43,8 @@ class LocalEnv:
         self._standing = scenario.local_states(everywhere, silence_db)  # all but the channel
 
     def observe(
-        self,
-        cell: NDArray[np.int32],
-        channel_db: NDArray[np.float32],
-        broadcast: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
+        self, cell: NDArray[np.int32], channel_db: Floats32, broadcast: Floats32 | None = None
+    ) -> Floats32:
         """s_L of each robot.
 
         Args:
@@ -70,12 +68,8 @@ class LocalEnv:
         return np.concatenate([state, broadcast], axis=-1, dtype=np.float32)
 
     def reward(
-        self,
-        credit: NDArray[np.float64],
-        left: NDArray[np.int32],
-        reached: NDArray[np.int32],
-        arrived: NDArray[np.bool_],
-    ) -> NDArray[np.float64]:
+        self, credit: Floats, left: NDArray[np.int32], reached: NDArray[np.int32], arrived: Bools
+    ) -> Floats:
         """r_L of each robot: Eq. (11), or the user's own reward.
 
         Args:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Floats32
 from env.scenario import Scenario
 
 MAX_SEEN = 2**20
@@ -21,8 +21,8 @@ class ObservationTables(NamedTuple):
         by_ap: what the AP sees of a robot while it drives, shape (cells, K, size).
     """
 
-    local: NDArray[np.float32]
-    by_ap: NDArray[np.float32]
+    local: Floats32
+    by_ap: Floats32
 
     @classmethod
     def of(cls, scenario: Scenario) -> ObservationTables | None:

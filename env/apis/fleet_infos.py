@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Complexes
 from env.world import StepResult, World
 
 AP = "ap"
@@ -28,7 +28,7 @@ class FleetInfos:
     def __init__(self, world: World, robots: Sequence[str], *, masks: bool) -> None:
         self._world, self._robots, self._masks = world, robots, masks
 
-    def of(self, channel: NDArray[np.complex128], outcome: StepResult | None = None) -> Infos:
+    def of(self, channel: Complexes, outcome: StepResult | None = None) -> Infos:
         """The infos of a slot, with h_k in it, shape (K,); of none after a reset."""
         nothing = np.zeros(len(self._robots))
         sent = outcome.allocation if outcome else None

@@ -13,6 +13,7 @@ from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 from env.apis.fleet_infos import AP, FleetInfos, Infos
 from env.apis.observation_spaces import ap_space, robot_space
 from env.apis.starts import start_cells, starts_asked
+from env.arrays import Floats32, Ints
 from env.checks import checked_config, refuse
 from env.config import EnvConfig
 from env.mdp import lateness
@@ -23,7 +24,7 @@ from env.world import StepResult, World
 if TYPE_CHECKING:
     from env.rendering.frames import Picture
 
-Observations = dict[str, NDArray[np.float32]]
+Observations = dict[str, Floats32]
 
 
 class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
@@ -159,7 +160,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.possible_agents = [*self.robots, AP]
         self.agents: list[str] = []
         self._centres_m = self.world.floor.centres()
-        self._way: list[NDArray[np.int64]] = []
+        self._way: list[Ints] = []
         self._outcome: StepResult | None = None
         self._picture: Picture | None = None
         self._make_spaces()
@@ -182,7 +183,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         """The agent's actions; the same object at each call."""
         return self.action_spaces[agent]
 
-    def state(self) -> NDArray[np.float32]:
+    def state(self) -> Floats32:
         """What the access point sees, s_G, shape (global_size,)."""
         return np.asarray(self.world.global_observation()[0])
 

@@ -25,6 +25,7 @@ from env.apis.vector_rules import (
     reset_mask,
     seeds,
 )
+from env.arrays import Bools, Complexes, Floats, Floats32, Ints
 from env.checks import refuse
 from env.config import EnvConfig
 from env.mdp import lateness
@@ -32,11 +33,11 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import StepResult, World
 
-Observations = NDArray[np.float32]
-Slot = tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Infos]
+Observations = Floats32
+Slot = tuple[Observations, Floats, Bools, Bools, Infos]
 
 
-class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
+class SingleRobotVectorEnv(VectorEnv[Observations, Ints, NDArray[Any]]):
     """``num_envs`` times ``SingleRobotEnv``, as one batch of worlds.
 
     Number i gives the observations, rewards, ends and infos of the single environment with the
@@ -131,7 +132,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         self._begun, self._ended = True, self._ended & ~begun
         return self._seen(), infos_of(self._columns(), begun)
 
-    def step(self, actions: NDArray[np.int64]) -> Slot:
+    def step(self, actions: Ints) -> Slot:
         """One slot of each environment; shapes (num_envs, size) and (num_envs,).
 
         Raises:
@@ -166,9 +167,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         infos.update(infos_of(columns, everywhere))
         return self._seen(), outcome.local_reward[:, 0].copy(), terminated, truncated, infos
 
-    def _slot(
-        self, actions: NDArray[np.int64], waiting: NDArray[np.bool_]
-    ) -> tuple[Columns, StepResult]:
+    def _slot(self, actions: Ints, waiting: Bools) -> tuple[Columns, StepResult]:
         """A slot in all worlds but those that wait for their reset, with its infos."""
         world = self.world
         if waiting.any():
@@ -182,7 +181,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
             source.state = state  # fading was drawn for a slot that its episode does not have
         return self._columns(channel, outcome, phase), outcome
 
-    def _channel(self, phase: NDArray[np.int64]) -> NDArray[np.complex128]:
+    def _channel(self, phase: Ints) -> Complexes:
         """The robot's h in each world, shape (num_envs,)."""
         world = self.world
         channel = world.radio_map.channel(world.cell[:, :1], phase, world.direct[:, :1])
@@ -190,9 +189,9 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
 
     def _columns(
         self,
-        channel: NDArray[np.complex128] | None = None,
+        channel: Complexes | None = None,
         outcome: StepResult | None = None,
-        phase: NDArray[np.int64] | None = None,
+        phase: Ints | None = None,
     ) -> Columns:
         """The infos of a slot, each of shape (num_envs,); without one, those of a reset."""
         world = self.world
@@ -215,7 +214,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         """What each environment's robot sees."""
         return self.world.local_observations()[:, 0].copy()
 
-    def _begin(self, begun: NDArray[np.bool_], cell: NDArray[np.int64] | None = None) -> None:
+    def _begin(self, begun: Bools, cell: Ints | None = None) -> None:
         """Begins an episode in some worlds, from the cells given, shape (K,), or drawn ones."""
         rows = np.flatnonzero(begun)
         start = np.tile(cell, (len(rows), 1)) if cell is not None else self._drawn(rows)
@@ -224,7 +223,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         else:
             self.world.restart(begun, start, [self._sources[i] for i in rows])
 
-    def _drawn(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _drawn(self, rows: Ints) -> Ints:
         """Starts in some worlds, each from its own source, shape (rows, K)."""
         drawn = []
         for i in rows:
@@ -232,7 +231,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
             drawn.append(self.world.draw_starts(1))
         return np.concatenate(drawn)
 
-    def _seed(self, seeds: Sequence[int | None], begun: NDArray[np.bool_] | None = None) -> None:
+    def _seed(self, seeds: Sequence[int | None], begun: Bools | None = None) -> None:
         """Makes the generators of environments that have none, and of those with a new seed."""
         for i, seed in enumerate(seeds):
             known = i < len(self._sources)

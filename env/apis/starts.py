@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Ints
 from env.geometry.floor import UNREACHABLE
 from env.world import World
 
@@ -29,7 +29,7 @@ def starts_asked(options: Mapping[str, Any] | None) -> Any:
     return (options or {}).get("starts_m")
 
 
-def start_cells(world: World, starts_m: Any) -> NDArray[np.int64]:
+def start_cells(world: World, starts_m: Any) -> Ints:
     """The cells of starts, shape (K,).
 
     Args:

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Floats, Ints
 from env.geometry.floor import Floor
 
 
-def distance_m(
-    position_m: NDArray[np.float64], destination_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def distance_m(position_m: Floats, destination_m: Floats) -> Floats:
     """d_{D,k}: the Euclidean distance to the destination in m, shape (...) of (..., 2)."""
     offset = destination_m - position_m
     return np.sqrt(offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1])
 
 
-def straight_m(floor: Floor, destinations: NDArray[np.int64]) -> NDArray[np.float64]:
+def straight_m(floor: Floor, destinations: Ints) -> Floats:
     """Euclidean distances of all cells to each destination in m, shape (cells, n) for (n,)."""
     centres = floor.centres()
     return distance_m(centres[:, None], centres[destinations])
 
 
-def distances_m(floor: Floor, destinations: NDArray[np.int64], along: str) -> NDArray[np.float64]:
+def distances_m(floor: Floor, destinations: Ints, along: str) -> Floats:
     """d_{D,k} of Eq. (11) at every cell, the world's and the robots' one table.
 
     Args:

@@ -10,8 +10,8 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Floats, Ints
 from env.config import MotionConfig, RoomConfig, TasksConfig
 from env.geometry.floor import UNREACHABLE, Floor, line_of_sight
 from env.seeding import Stream, stream
@@ -107,7 +107,7 @@ def _point(axis: int, here: int, there: int) -> Point:
     return (there, here) if axis else (here, there)
 
 
-def _destinations(draw: np.random.Generator, floor: Floor) -> NDArray[np.int64]:
+def _destinations(draw: np.random.Generator, floor: Floor) -> Ints:
     """Cells as far apart as drawn destinations are, shape (DESTINATIONS,)."""
     centres, left = floor.centres(), np.ones(floor.cells, dtype=bool)
     cells: list[int] = []
@@ -137,13 +137,13 @@ def _mounts(draw: np.random.Generator, floor: Floor) -> tuple[list[float], list[
     return [*ap_m.tolist(), HEIGHT_M], [*ris_m.tolist(), HEIGHT_M], axis
 
 
-def _in_shadow(floor: Floor, ap_m: NDArray[np.float64], ris_m: NDArray[np.float64]) -> int:
+def _in_shadow(floor: Floor, ap_m: Floats, ris_m: Floats) -> int:
     """Cells that a RIS sees and an AP does not."""
     lit, reached = (line_of_sight(at, floor.centres(), floor.walls) for at in (ap_m, ris_m))
     return int((reached & ~lit).sum())
 
 
-def _on_side(draw: np.random.Generator, floor: Floor, side: int) -> NDArray[np.float64]:
+def _on_side(draw: np.random.Generator, floor: Floor, side: int) -> Floats:
     """A place on the wall x = 0, x = width, y = 0 or y = depth, shape (2,)."""
     place = draw.integers(floor.size_m.astype(np.int64)) + 0.5
     axis, far = divmod(side, 2)

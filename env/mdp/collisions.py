@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from env.arrays import Bools, Ints
 
 
-def moves_without_collisions(
-    cell: NDArray[np.int64],
-    wanted: NDArray[np.int64],
-    driving: NDArray[np.bool_],
-    destinations: NDArray[np.int64],
-) -> NDArray[np.int64]:
+def moves_without_collisions(cell: Ints, wanted: Ints, driving: Bools, destinations: Ints) -> Ints:
     """Where robots are after a slot in which none enters a cell that another one holds.
 
     Robots move in the order of their index: each sees where those before it are now and where

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Complexes, Floats, Floats32, Ints
 from env.config import EnvConfig
 from env.downlink.access import decoding_order
 from env.geometry.floor import Floor
@@ -24,7 +24,7 @@ PACE_BOUND = 4.0
 LAST = np.iinfo(np.int64).max
 
 
-def scaled_channel(channel_db: NDArray[np.float32]) -> NDArray[np.float32]:
+def scaled_channel(channel_db: Floats32) -> Floats32:
     """A measured channel |hbar|^2 in dB as agents see it, same shape."""
     return (channel_db + CHANNEL_MIDDLE_DB) / CHANNEL_SPREAD_DB
 
@@ -71,12 +71,8 @@ class ObservationEncoder:
         self.global_size = config.robots * (self.own_size + 3 + self.has_weights)
 
     def local(
-        self,
-        cell: NDArray[np.int64],
-        channel_db: NDArray[np.float32],
-        destination: NDArray[np.int64],
-        way: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
+        self, cell: Ints, channel_db: Floats32, destination: Ints, way: Floats32 | None = None
+    ) -> Floats32:
         """The robots' states s_L as they know them by themselves, Eq. (9).
 
         Args:
@@ -98,9 +94,7 @@ class ObservationEncoder:
             state[..., self.own_size :] = way
         return state
 
-    def way(
-        self, slots_to_go: NDArray[np.int64], slots_then: NDArray[np.int64]
-    ) -> NDArray[np.float32]:
+    def way(self, slots_to_go: Ints, slots_then: Ints) -> Floats32:
         """What a robot knows of its way from its plan of the floor.
 
         Args:
@@ -116,12 +110,7 @@ class ObservationEncoder:
         way[..., 4] = np.minimum(slots_to_go * self._way_scale, WAY_BOUND)
         return way
 
-    def broadcast(
-        self,
-        local: NDArray[np.float32],
-        travel_slots: NDArray[np.int64],
-        driving: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
+    def broadcast(self, local: Floats32, travel_slots: Ints, driving: Bools) -> Floats32:
         """What the AP tells each robot k of the others and of itself, the end of s_L.
 
         Of as many others j as ``state.others`` says, the driving ones with the fewest slots T_j
@@ -156,12 +145,7 @@ class ObservationEncoder:
         told[..., -1] = np.minimum(self._horizon_slots / travel_slots, PACE_BOUND)
         return told
 
-    def seen_robots(
-        self,
-        local: NDArray[np.float32],
-        channel: NDArray[np.complex128],
-        driving: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
+    def seen_robots(self, local: Floats32, channel: Complexes, driving: Bools) -> Floats32:
         """What the AP sees of each robot by itself.
 
         Args:
@@ -183,12 +167,8 @@ class ObservationEncoder:
         return seen
 
     def global_observation(
-        self,
-        seen: NDArray[np.float32],
-        channel: NDArray[np.complex128],
-        driving: NDArray[np.bool_],
-        weights: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float32]:
+        self, seen: Floats32, channel: Complexes, driving: Bools, weights: Floats | None = None
+    ) -> Floats32:
         """The AP's state s_G, Eq. (6).
 
         Args:

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env import plugins
+from env.arrays import Bools, Floats, Ints
 from env.config import EnvConfig, MotionConfig, QoeConfig, RewardConfig
 
 
-def quality_of_experience(rate: NDArray[np.float64], qoe: QoeConfig) -> NDArray[np.float64]:
+def quality_of_experience(rate: Floats, qoe: QoeConfig) -> Floats:
     """Quality of experience, Baseline 3: eta_k = C_1 lg(R_k) + C_2.
 
     Args:
@@ -23,18 +24,14 @@ def quality_of_experience(rate: NDArray[np.float64], qoe: QoeConfig) -> NDArray[
     return np.asarray(qoe.scale * np.log10(np.maximum(rate, qoe.floor)) + qoe.offset)
 
 
-def metric(rate: NDArray[np.float64], config: EnvConfig) -> NDArray[np.float64]:
+def metric(rate: Floats, config: EnvConfig) -> Floats:
     """What rewards are made of: R_k itself, or eta_k with ``env.metric=qoe``; same shape."""
     return quality_of_experience(rate, config.qoe) if config.metric == "qoe" else rate
 
 
 def local_reward(
-    rate: NDArray[np.float64],
-    before_m: NDArray[np.float64],
-    after_m: NDArray[np.float64],
-    arrived: NDArray[np.bool_],
-    weights: RewardConfig,
-) -> NDArray[np.float64]:
+    rate: Floats, before_m: Floats, after_m: Floats, arrived: Bools, weights: RewardConfig
+) -> Floats:
     """A robot's reward: phi R_k + psi (d^{t-1} - kappa d^t) + R_time + R_goal, Eq. (11).
 
     The paper has kappa = 1. With the robots' discount as kappa the guidance is a potential's, which
@@ -57,7 +54,7 @@ def local_reward(
     return weights.rate * rate + guidance + weights.time + np.where(arrived, weights.goal, 0.0)
 
 
-def rate_weights(travel_slots: NDArray[np.int64], horizon_slots: float) -> NDArray[np.float64]:
+def rate_weights(travel_slots: Ints, horizon_slots: float) -> Floats:
     """w_k = (horizon / T_k)^2, a robot's 1 / (T_k E_k) of (5a) over that at the horizon.
 
     Args:
@@ -94,17 +91,13 @@ class RewardFunction:
         # Under OMA no signal disturbs another.
         self.weighs_absence = credit == "difference" and config.access == "noma"
 
-    def weights(self, travel_slots: NDArray[np.int64]) -> NDArray[np.float64]:
+    def weights(self, travel_slots: Ints) -> Floats:
         """w_k of T_k, same shape; see ``rate_weights``."""
         return rate_weights(travel_slots, self._config.reward.horizon_slots)
 
     def credit(
-        self,
-        rate: NDArray[np.float64],
-        drove: NDArray[np.bool_],
-        weights: NDArray[np.float64],
-        without: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float64]:
+        self, rate: Floats, drove: Bools, weights: Floats, without: Floats | None = None
+    ) -> Floats:
         """What robots are credited with in the place of R_k, with ``weighs_credit``.
 
         Args:
@@ -133,12 +126,8 @@ class RewardFunction:
         return np.where(drove, counted - harm / weights, 0.0)
 
     def of_robots(
-        self,
-        credit: NDArray[np.float64],
-        before_m: NDArray[np.float64],
-        after_m: NDArray[np.float64],
-        arrived: NDArray[np.bool_],
-    ) -> NDArray[np.float64]:
+        self, credit: Floats, before_m: Floats, after_m: Floats, arrived: Bools
+    ) -> Floats:
         """r_L: ``local_reward``, or the user's own; arguments as there.
 
         ``credit`` is R_k with ``reward.credit=rate``, what ``credit`` gave otherwise.
@@ -146,12 +135,7 @@ class RewardFunction:
         counted = credit if self.weighs_credit else metric(credit, self._config)
         return self._local(counted, before_m, after_m, arrived, self._config.reward)
 
-    def of_access_point(
-        self,
-        rate: NDArray[np.float64],
-        drove: NDArray[np.bool_],
-        weights: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float64]:
+    def of_access_point(self, rate: Floats, drove: Bools, weights: Floats | None = None) -> Floats:
         """r_G of the robots that drove, ``global_reward``; arguments of shape (..., K).
 
         With ``weighs_rates`` the n rates count for n w_k / sum_j w_j each.
@@ -162,19 +146,19 @@ class RewardFunction:
         return global_reward(counted.sum(axis=-1), self._config.reward)
 
 
-def only(who: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def only(who: Bools, values: Floats) -> Floats:
     """The values of some, and 0 for all others; same shape, the array itself where all count."""
     return values if np.count_nonzero(who) == who.size else np.where(who, values, 0.0)
 
 
-def shares(weights: NDArray[np.float64], driving: NDArray[np.bool_]) -> NDArray[np.float64]:
+def shares(weights: Floats, driving: Bools) -> Floats:
     """Each robot's part of the weight of all that drive, 0 where it does not; shape (..., K)."""
     counted = np.where(driving, weights, 0.0)
     total = counted.sum(axis=-1, keepdims=True)
     return np.asarray(counted / np.where(total > 0.0, total, 1.0))
 
 
-def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArray[np.float64]:
+def global_reward(sum_rate: Floats, weights: RewardConfig) -> Floats:
     """The access point's reward: tau_1 sum_k R_k (plus an offset, 0 by default), Eq. (8).
 
     Args:
@@ -187,7 +171,7 @@ def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArr
     return weights.sum_rate * sum_rate + weights.global_offset
 
 
-def motion_energy_j(travel_s: NDArray[np.floating], motion: MotionConfig) -> NDArray[np.float64]:
+def motion_energy_j(travel_s: NDArray[np.floating], motion: MotionConfig) -> Floats:
     """Energy of driving for T_k seconds: E_1 T_k v + E_2 T_k, Eq. (4).
 
     Args:
@@ -200,9 +184,7 @@ def motion_energy_j(travel_s: NDArray[np.floating], motion: MotionConfig) -> NDA
     return np.asarray((motion.energy_per_m_j * motion.speed_mps + motion.idle_power_w) * travel_s)
 
 
-def energy_efficiency(
-    rate_sum: NDArray[np.float64], slots: NDArray[np.int64], slot_s: float, motion: MotionConfig
-) -> NDArray[np.float64]:
+def energy_efficiency(rate_sum: Floats, slots: Ints, slot_s: float, motion: MotionConfig) -> Floats:
     """Energy efficiency of an episode, the objective (5a): sum_k (1/T_k) sum_t R_k^t / E_k.
 
     Args:
@@ -218,12 +200,8 @@ def energy_efficiency(
 
 
 def bits_per_joule(
-    rate_sum: NDArray[np.float64],
-    slots: NDArray[np.int64],
-    slot_s: float,
-    bandwidth_hz: float,
-    motion: MotionConfig,
-) -> NDArray[np.float64]:
+    rate_sum: Floats, slots: Ints, slot_s: float, bandwidth_hz: float, motion: MotionConfig
+) -> Floats:
     """All bits over all energy of an episode: sum_k sum_t R_k^t B T_slot / sum_k E_k.
 
     Args:

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Path = NDArray[np.int64]
+from env.arrays import Bools, Floats, Ints
+
+Path = Ints
 """The directions of a robot's moves, shape (T_k,)."""
 
 
-def cells_along(after: NDArray[np.int64], start: int, path: Path) -> NDArray[np.int64]:
+def cells_along(after: Ints, start: int, path: Path) -> Ints:
     """The cells of a path, the first and the last included, shape (T_k + 1,)."""
     cells = [start]
     for direction in path:
@@ -23,9 +24,7 @@ def cells_along(after: NDArray[np.int64], start: int, path: Path) -> NDArray[np.
     return np.array(cells)
 
 
-def free_moves(
-    after: NDArray[np.int64], slots: int, others: Sequence[NDArray[np.int64]]
-) -> NDArray[np.bool_]:
+def free_moves(after: Ints, slots: int, others: Sequence[Ints]) -> Bools:
     """Which moves neither enter a cell that others hold or enter, nor hold one that they enter.
 
     So no move is blocked in ``World.step``, whoever moves first; a row that moves up, which that
@@ -49,7 +48,7 @@ def free_moves(
     return free
 
 
-def ways_to(after: NDArray[np.int64], goal: int, moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def ways_to(after: Ints, goal: int, moves: Bools) -> Bools:
     """From where one first arrives after exactly the slots that are left.
 
     Args:
@@ -70,9 +69,7 @@ def ways_to(after: NDArray[np.int64], goal: int, moves: NDArray[np.bool_]) -> ND
     return ways
 
 
-def ways_from(
-    after: NDArray[np.int64], start: int, goal: int, moves: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def ways_from(after: Ints, start: int, goal: int, moves: Bools) -> Bools:
     """Where one can be after so many slots without having arrived; as ``ways_to``."""
     reached = np.zeros((len(moves) + 1, len(after)), dtype=bool)
     reached[0, start] = True
@@ -83,11 +80,7 @@ def ways_from(
 
 
 def best_way(
-    after: NDArray[np.int64],
-    start: int,
-    stage: NDArray[np.float64],
-    moves: NDArray[np.bool_],
-    ways: NDArray[np.bool_],
+    after: Ints, start: int, stage: Floats, moves: Bools, ways: Bools
 ) -> tuple[float, Path]:
     """The path of T slots that collects most, by backward induction.
 

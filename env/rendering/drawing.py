@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats
 from env.config import EnvConfig
 from env.geometry.floor import Floor
 from env.radio.radio_map import RadioMap
@@ -23,7 +23,7 @@ ROBOT_COLOURS = ("#e4572e", "#2e86de", "#f3b61f", "#8e44ad", "#16a085", "#d81b60
 _OUTLINE = [patheffects.withStroke(linewidth=3.2, foreground="white")]
 
 
-def best_gain_db(radio_map: RadioMap) -> NDArray[np.float64]:
+def best_gain_db(radio_map: RadioMap) -> Floats:
     """|h|^2 in dB at each cell under the phase setting that is best there, shape (cells,)."""
     cell = np.arange(len(radio_map.direct))
     amplitude = np.zeros(len(cell))
@@ -87,7 +87,7 @@ def _label(axes: Axes, position: list[float], text: str, offset: tuple[int, int]
     )
 
 
-def draw_ways(axes: Axes, ways_m: NDArray[np.float64], destinations_m: NDArray[np.float64]) -> None:
+def draw_ways(axes: Axes, ways_m: Floats, destinations_m: Floats) -> None:
     """Draws where robots drove: a dot at the start, a star at the destination.
 
     Args:
@@ -103,16 +103,14 @@ def draw_ways(axes: Axes, ways_m: NDArray[np.float64], destinations_m: NDArray[n
         axes.plot(*goal, "*", color=colour, markersize=15, mec="black", zorder=4)
 
 
-def draw_misses(
-    axes: Axes, ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]
-) -> None:
+def draw_misses(axes: Axes, ends_m: Floats, destinations_m: Floats) -> None:
     """Draws a cross where a robot ended that did not arrive; both of shape (K, 2)."""
     for robot in np.flatnonzero(missed(ends_m, destinations_m)):
         colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
         axes.plot(*ends_m[robot], "X", color=colour, markersize=10, mec="black", zorder=5)
 
 
-def missed(ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def missed(ends_m: Floats, destinations_m: Floats) -> Bools:
     """Which ends, shape (..., K, 2), are not at the destinations, shape (K, 2); shape (..., K)."""
     return np.asarray(~np.isclose(ends_m, destinations_m).all(axis=-1))
 
@@ -120,8 +118,8 @@ def missed(ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]) -> 
 def trajectory_figure(
     config: EnvConfig,
     radio_map: RadioMap,
-    ways_m: NDArray[np.float64],
-    destinations_m: NDArray[np.float64],
+    ways_m: Floats,
+    destinations_m: Floats,
     titles: list[str],
 ) -> Figure:
     """Episodes beside each other, each over the radio map.

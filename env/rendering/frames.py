@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from env.arrays import Floats
 from env.rendering.drawing import ROBOT_COLOURS, draw_floor, draw_ways
 from env.world import World
 
@@ -29,9 +30,7 @@ class Picture:
         self._canvas.draw()
         self._floor = self._canvas.copy_from_bbox(figure.bbox)
 
-    def frame(
-        self, ways_m: NDArray[np.float64], goals_m: NDArray[np.float64], title: str
-    ) -> NDArray[np.uint8]:
+    def frame(self, ways_m: Floats, goals_m: Floats, title: str) -> NDArray[np.uint8]:
         """The pixels with the ways so far, shape (480, 480, 3)."""
         axes, still = self._axes, len(self._axes.lines)
         self._canvas.restore_region(self._floor)
