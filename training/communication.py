@@ -20,9 +20,6 @@ from training.partition import partition_robots, step_layout
 def per_tick(config: Config) -> dict[str, float]:
     """Bytes that all K robots together send and receive in a tick, by who learns and how.
 
-    Args:
-        config: of a run.
-
     Returns:
         By name, all but the last in bytes:
 

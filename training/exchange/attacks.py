@@ -105,12 +105,7 @@ ATTACKS: dict[str, type[FalseStep] | type[Stale]] = {
 
 
 def attack_of(config: Config, robot: int) -> FalseStep | Stale | None:
-    """What a robot does to its uploads; None where it is honest.
-
-    Args:
-        config: the run's configuration.
-        robot: below K.
-    """
+    """What a robot does to its uploads; None where it is honest."""
     if robot < config.env.robots - config.attack.robots:
         return None
     return ATTACKS[config.attack.name](config, robot)

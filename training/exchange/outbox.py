@@ -47,13 +47,7 @@ class Change(Protocol):
 
 
 class Outbox:
-    """What one robot sends of its weights, and takes.
-
-    Args:
-        config: the run's configuration.
-        robot: which, below K.
-        parameters: P, of its network.
-    """
+    """What one robot sends of its weights, and takes."""
 
     def __init__(self, config: Config, robot: int, parameters: int) -> None:
         self._changes: dict[str, Change] = dict(changes_of(config, robot))

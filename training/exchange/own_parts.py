@@ -106,9 +106,6 @@ class OwnNormalisation:
     """First layers that are combined as they are on each robot's normalised observations.
 
     Statistics begin as those of one observation of mean 0 and variance 1.
-
-    Args:
-        config: the run's configuration.
     """
 
     def __init__(self, config: Config) -> None:

@@ -62,11 +62,7 @@ class Packing:
 
 
 class PackedSender:
-    """Sends networks packed and remembers what was lost on the way.
-
-    Args:
-        packing: how.
-    """
+    """Sends networks packed and remembers what was lost on the way."""
 
     def __init__(self, packing: Packing) -> None:
         self._packing = packing

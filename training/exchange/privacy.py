@@ -21,10 +21,6 @@ class LocalPrivacy:
     """What one robot does to its networks; see ``training.exchange.outbox.Change``.
 
     Where target networks are copied from the online ones, those alone are sent, clipped and noised.
-
-    Args:
-        config: the run's configuration.
-        robot: which, below K.
     """
 
     def __init__(self, config: Config, robot: int) -> None:

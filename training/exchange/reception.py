@@ -44,9 +44,6 @@ class Reception:
     A late upload comes a window later, as the step that the robot made: the difference from what
     it had been given, added to what it has uploaded by then, or else to what it holds (as FedBuff
     adds late differences; Nguyen et al., 2022, arXiv:2106.06639). So each robot counts once.
-
-    Args:
-        config: the run's configuration.
     """
 
     def __init__(self, config: Config) -> None:
