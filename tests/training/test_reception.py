@@ -96,7 +96,7 @@ def test_where_nobody_is_heard_the_model_stays():
     federation = build_federation(config(probability=1.0))
     model = np.ones((2, 17), np.float32)
     uploads = np.zeros((K, 2, 17), np.float32)
-    np.testing.assert_array_equal(federation.exchange(1, model, uploads, FACTS).model, model)
+    np.testing.assert_array_equal(federation.exchange(1, model, uploads, FACTS)[0], model)
 
 
 @pytest.mark.parametrize(

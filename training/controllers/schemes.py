@@ -10,12 +10,7 @@ from training.controllers.phase_rules import PhaseRule
 
 
 def build_ris_controller(config: Config, world: World) -> RisController:
-    """Who steers the RIS, as the run begins; a ``CentralAgent`` commands the robots, too.
-
-    Args:
-        config: the run's configuration.
-        world: whose RIS it is.
-    """
+    """Who steers the RIS, as the run begins; a ``CentralAgent`` commands the robots, too."""
     if config.scheme.agents != "federated":
         return build_central(config)
     if config.scheme.phase != "learned":

@@ -24,9 +24,6 @@ class Service:
     * ``ap``: an action is a phase setting and a combination of powers, which is dealt by rank.
     * ``search``: the best powers under the phase that was chosen; an oracle's phase and powers are
       searched together.
-
-    Args:
-        config: the run's configuration; ``scheme`` and ``env`` are read.
     """
 
     def __init__(self, config: Config) -> None:
@@ -36,7 +33,7 @@ class Service:
             self._levels = levels_by_rank(config.env, robots, robots)
 
     def __call__(self, world: World, action: NDArray[np.int64], picks: NDArray[np.int64]) -> Served:
-        """What is served in this slot.
+        """What is served in a slot.
 
         Args:
             world: B worlds; not changed.
@@ -45,15 +42,11 @@ class Service:
             picks: the robots' power levels, shape (B, K); read where robots pick powers.
         """
         if self._power == "ap":
-            return self._picked_together(world, action)
+            phase, combination = np.divmod(action, len(self._levels))
+            gain = per_slot.gains(world, phase)
+            return phase, deal(self._levels[combination], gain, world.driving)
         if self._power == "search":
             if self._oracle:
                 return per_slot.best_phase_and_powers(world, world.rate_weights)
             return action, per_slot.best_powers(world, action, world.rate_weights)
         return (per_slot.best_phase(world, picks) if self._oracle else action), picks
-
-    def _picked_together(self, world: World, action: NDArray[np.int64]) -> Served:
-        """Phases and powers of actions of both."""
-        phase, combination = np.divmod(action, len(self._levels))
-        gain = per_slot.gains(world, phase)
-        return phase, deal(self._levels[combination], gain, world.driving)
