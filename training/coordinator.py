@@ -20,7 +20,7 @@ from env.world import StepResult, World
 from lockstep import Expect, Fleet
 from storage.generators import generator_state, restore_generator
 from training.checkpoint import flat, part
-from training.controllers.access_point import RisController
+from training.controllers.service import RisController
 from training.exchange.facts import WindowFacts, plain
 from training.partition import step_layout
 from training.recording.progress import Observer, Progress
