@@ -13,7 +13,6 @@ from env.config import phase_actions
 from env.downlink.allocation import Allocation, Downlink
 from env.mdp import collisions
 from env.mdp.reward import only
-from env.observation_tables import ObservationTables
 from env.radio.slot_fading import SlotFading
 from env.scenario import Scenario
 
@@ -76,7 +75,7 @@ class World:
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
         self._weighs = self._rewards.weighs_credit or self._rewards.weighs_rates
         self._robot = np.arange(len(self.destinations))
-        self._tables = ObservationTables.of(scenario)
+        self._tables = scenario.tables
         shape = (worlds, self.robots)
         self.cell = np.zeros(shape, dtype=np.int64)
         self.driving = np.zeros(shape, dtype=bool)
