@@ -48,8 +48,6 @@ class Scenario:
         radio_map: tables to use; built when they are first asked for if None.
 
     Attributes:
-        config: the same.
-        destinations: the same.
         floor: its cells and walls.
         actions: what a robot can choose.
         observer: makes observations.
@@ -112,7 +110,7 @@ class Scenario:
             channel_db: |hbar_k|^2 in dB, shape (..., K).
 
         Returns:
-            States, float32, shape (..., K, size).
+            States, shape (..., K, size).
         """
         way = None
         if self.observer.has_way:

@@ -127,14 +127,11 @@ class World:
         return np.ones(self.cell.shape)
 
     def channel(self, phase_action: Ints) -> Complexes:
-        """The combined channel h_k of every robot in this slot.
+        """The combined channel h_k of every robot in this slot, shape (B, K) or (B, A, K).
 
         Args:
             phase_action: the AP's action, shape (B,), or several of each world, shape (B, A) or
                 (1, A).
-
-        Returns:
-            h_k, shape (B, K) or (B, A, K).
         """
         cell, direct = self.cell, self.direct
         if phase_action.ndim > 1:
@@ -248,9 +245,6 @@ class World:
             phase_action: the AP's action, shape (B,).
             direction: index into ``DIRECTIONS``, shape (B, K); read where driving.
             level: power level 1..N_P, shape (B, K); read where driving.
-
-        Returns:
-            What the slot brought.
         """
         drove = self.driving
         running = np.asarray(drove.any(axis=-1))

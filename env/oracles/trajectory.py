@@ -49,9 +49,6 @@ def best_trajectory(world: World, start: Ints, slack: int = 4, max_sweeps: int =
         slack: extra slots that a robot may take, each number of them being tried.
         max_sweeps: most sweeps over the robots.
 
-    Returns:
-        The plan.
-
     Raises:
         ValueError: channels change in each slot, or a robot has no way that ends in time.
     """

@@ -39,11 +39,6 @@ def best_gain_db(radio_map: RadioMap) -> Floats:
 def draw_floor(axes: Axes, config: EnvConfig, radio_map: RadioMap) -> AxesImage:
     """Draws the radio map with walls, AP and RIS; cells that solid walls cut off have no gain.
 
-    Args:
-        axes: where to draw.
-        config: the environment.
-        radio_map: its tables.
-
     Returns:
         The image of the map, for a colour bar.
     """
@@ -94,10 +89,7 @@ def _label(axes: Axes, position: list[float], text: str, offset: tuple[int, int]
 def draw_ways(axes: Axes, ways_m: Floats, destinations_m: Floats) -> None:
     """Draws where robots drove: a dot at the start, a star at the destination.
 
-    Args:
-        axes: where to draw.
-        ways_m: positions in m, shape (slots + 1, K, 2).
-        destinations_m: shape (K, 2).
+    Ways are positions in m, shape (slots + 1, K, 2), destinations (K, 2).
     """
     for robot, goal in enumerate(destinations_m):
         way = ways_m[:, robot]
@@ -126,17 +118,9 @@ def trajectory_figure(
     destinations_m: Floats,
     titles: list[str],
 ) -> Figure:
-    """Episodes beside each other, each over the radio map.
+    """Episodes beside each other, each over the radio map and under its title.
 
-    Args:
-        config: the environment.
-        radio_map: its tables.
-        ways_m: positions in m, shape (slots + 1, episodes, K, 2).
-        destinations_m: shape (K, 2).
-        titles: one an episode.
-
-    Returns:
-        The figure.
+    Ways are positions in m, shape (slots + 1, episodes, K, 2), destinations (K, 2).
     """
     count = len(titles)
     room = config.room
