@@ -163,6 +163,5 @@ class ReplayAgents:
         for agent in range(len(self)):
             own = f"{agent}/"
             self.restore_agent(
-                agent,
-                {key.removeprefix(own): a for key, a in state.items() if key.startswith(own)},
+                agent, {key.removeprefix(own): a for key, a in state.items() if key.startswith(own)}
             )

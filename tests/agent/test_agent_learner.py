@@ -34,15 +34,7 @@ def row_of(network):
         ({}, 0.8, 0.05),
         ({"learning_rate_end": 1e-4, "learning_rate_updates": 150}, 0.8, 0.0),
     ],
-    ids=[
-        "plain",
-        "2x64",
-        "2x128",
-        "double",
-        "no discount",
-        "FedProx",
-        "falling rate",
-    ],
+    ids=["plain", "2x64", "2x128", "double", "no discount", "FedProx", "falling rate"],
 )
 def test_the_learner_agrees_with_the_reference(changes, discount, mu):
     config = small_config(**changes)
