@@ -103,11 +103,8 @@ class Coordinator:
     def play(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
         """Plays windows until the run is over; may be called again to go on from there.
 
-        Args:
-            model: what all robots hold, shape (2, P), or each its own, (K, 2, P).
-
-        Returns:
-            The robots' weights after the last aggregation, shape (K, 2, P).
+        Takes what all robots hold, shape (2, P), or each its own, (K, 2, P); returns the weights
+        after the last aggregation, shape (K, 2, P).
         """
         final = self.stopped = False
         while not final:
@@ -149,10 +146,7 @@ class Coordinator:
         """All of the server's side that the run needs to go on from a window boundary."""
         counters = np.array(astuple(self.progress))
         run = {"progress": counters, "stream": generator_state(self._world.generator)}
-        if self._model is not None:
-            run["model"] = self._model
-        else:
-            run["robots"] = self._shared
+        run |= {"robots": self._shared} if self._model is None else {"model": self._model}
         return flat(
             {
                 "run": run,
@@ -216,11 +210,7 @@ class Coordinator:
     def _pass_on(
         self, window: int, action: NDArray[np.int64], outcome: StepResult, *, last: bool
     ) -> Expect:
-        """Sends the robots the results of their actions; the AP learns while they do.
-
-        Returns:
-            What the robots answer next.
-        """
+        """Sends robots their results, while they learn the AP does; returns what they answer."""
         updates, state = self._records.of(outcome), self._state
         ended, seen = outcome.terminated | outcome.truncated, None
         ends = bool(ended.any())

@@ -127,7 +127,7 @@ def _ended(config: Config, folder: RunFolder) -> dict[str, Any] | None:
     """What ``summary.json`` holds if the run has come to its end."""
     try:
         summary = folder.read_summary()
-        progress = Progress(summary["ticks"], summary["windows"], summary["episodes"])
+        progress = Progress(summary["ticks"], episodes=summary["episodes"])
         return summary if progress.reaches(config.train) else None
     except (LookupError, TypeError, ValueError) as error:
         allowed = f"a folder whose {folder.summary_file.name} is whole"
@@ -137,10 +137,7 @@ def _ended(config: Config, folder: RunFolder) -> dict[str, Any] | None:
 def same(one: Config, other: Config, *, until: bool = True) -> bool:
     """Whether two configurations are of one run, wherever its folder and its robots lie.
 
-    Args:
-        one: a configuration.
-        other: another one.
-        until: whether the run must end alike, too.
+    With ``until`` the run must end alike, too.
     """
     return _essence(one) == _essence(other) and (not until or one.train == other.train)
 
@@ -154,12 +151,7 @@ def _essence(config: Config) -> str:
 
 
 def _checkpoint(folder: RunFolder, config: Config) -> Checkpoint:
-    """The newest whole checkpoint of a run.
-
-    Raises:
-        CheckpointError: there is none.
-        ConfigError: it is another version's.
-    """
+    """The newest whole checkpoint of a run; a ``ConfigError`` if it is another version's."""
     elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
     robots = 0 if elsewhere else kept_robots(config)
     rooms = has_rooms(config) and config.runtime.connection is None

@@ -47,12 +47,9 @@ class RoomsEvaluator:
     def scores(
         self, model: Weights, ap_of: Callable[[Room], Weights], epsilon: float
     ) -> list[RoomScore]:
-        """Plays the held-out starts of each room.
+        """Plays the held-out starts of each room, with exploration and greedily.
 
-        Args:
-            model: the robots' online network, shape (P,).
-            ap_of: a room's access point's, shape (P_AP,).
-            epsilon: exploration, beside greedy play.
+        The robots' online network is of shape (P,), a room's access point's of (P_AP,).
         """
         if not self._evaluators:
             self._evaluators = [Evaluator(room.config(self._config)) for room in self.rooms]

@@ -81,13 +81,7 @@ class BuildingRecorder(Recorder):
     def on_round(
         self, progress: Progress, model: Weights, ap_of: Callable[[Room], Weights]
     ) -> None:
-        """Evaluates the building's weights where that is due.
-
-        Args:
-            progress: where the building is.
-            model: the robots' online network, shape (P,).
-            ap_of: a room's access point's online network, shape (P_AP,).
-        """
+        """Evaluates where that is due; networks as in ``RoomsEvaluator.scores``."""
         self._evaluate_where_due(progress, model, ap_of)
 
     def _evaluate(self, progress: Progress, robots: Weights, ap: Any) -> None:

@@ -31,13 +31,7 @@ def save_figures(
 ) -> None:
     """Draws how a run learned, and the ways that its final policy drives.
 
-    Args:
-        folder: where to; made if it is missing.
-        config: of the run.
-        evaluator: of the run.
-        robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
-        ap: online weights of the access point, shape (P_AP,).
-        history: of the run.
+    ``robots`` and ``ap`` as in ``Evaluator.play``; the folder is made if it is missing.
     """
     folder.mkdir(exist_ok=True)
     learning_curve(
@@ -83,9 +77,6 @@ def learning_curve(
         evaluated_at: training episodes after which frozen weights were evaluated.
         evaluated: their success.
         epsilon: exploration of those evaluations.
-
-    Returns:
-        The figure.
     """
     figure, top, bottom = _panels()
     episode = np.arange(1, len(reward) + 1)
