@@ -20,6 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from conf import own_groups
 from conf.errors import ConfigError, shown
+from conf.removed_keys import check_removed
 from conf.schema import Config
 from conf.user_paths import LISTED, PATHS, with_quoted_path
 from env.validate import hints_of, refused
@@ -191,6 +192,7 @@ def check_key(key: str) -> Any:
             [f.name for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
         )
         if name not in names:
+            check_removed(key)
             above = ".".join(parts[:depth])
             raise ConfigError(_unknown_key(key, [f"{above}.{n}" if above else n for n in names]))
         value = getattr(value, name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from agent.config import AgentConfig
 from conf.networks import ap_actions, joint_actions
 from conf.schema import Config, SchemeConfig
 from env.downlink.combinations import count_combinations
@@ -101,8 +100,6 @@ def _central_problems(config: Config) -> Iterator[Problem]:
             yield f"scheme.{key}", getattr(config.scheme, key), f"learned with {who}"
     if (order := config.env.state.order) != "index":
         yield "env.state.order", order, f"index with {who}: it acts for robots by their index"
-    if config.scheme.agents == "branching":
-        yield from _head_problems(config.agent)
     count = joint_actions(config)
     if config.scheme.agents == "centralized" and count > MOST_JOINT_ACTIONS:
         yield (
@@ -111,18 +108,6 @@ def _central_problems(config: Config) -> Iterator[Problem]:
             f"fewer with {who}: the joint actions of all are {count:,}, and at most"
             f" {MOST_JOINT_ACTIONS:,} are taken (scheme.agents=branching has no such bound)",
         )
-
-
-def _head_problems(agent: AgentConfig) -> Iterator[Problem]:
-    """Ways of learning that a network with several heads does not have."""
-    who = "with scheme.agents=branching: several heads have no such way of learning here"
-    for key, value, off in (
-        ("n_step", agent.n_step, 1),
-        ("dueling", agent.dueling, False),
-        ("priority.alpha", agent.priority.alpha, 0.0),
-    ):
-        if value != off:
-            yield f"agent.{key}", value, f"{str(off).lower()} {who}"
 
 
 def _idle_problems(config: Config) -> Iterator[Problem]:

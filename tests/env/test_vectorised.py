@@ -68,10 +68,7 @@ def _warnings_are_errors() -> Iterator[None]:
 
 def vectorised(config: dict[str, Any], mode: str = "sync") -> gymnasium.vector.VectorEnv:
     return gymnasium.make_vec(
-        env.SINGLE_ROBOT,
-        num_envs=WORLDS,
-        vectorization_mode=mode,
-        config=short(config),
+        env.SINGLE_ROBOT, num_envs=WORLDS, vectorization_mode=mode, config=short(config)
     )
 
 

@@ -26,14 +26,7 @@ from training import checkpoint, resume
 from training.recording import summary as accounts
 
 FALLING = ("agent.learning_rate_end=0.001", "agent.learning_rate_updates=60")
-EVERY_OPTION = (
-    *FALLING,
-    "agent.updates=2",
-    "agent.n_step=3",
-    "agent.dueling=true",
-    "agent.double=true",
-    "agent.priority.alpha=0.6",
-)
+EVERY_OPTION = (*FALLING, "agent.updates=2", "agent.double=true")
 SERVING = (
     "env.reward.credit=difference",
     "env.reward.weights=objective",
@@ -303,10 +296,8 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         slow(["baseline=branching", "agent.updates=2", *FALLING]),
         slow(["train.worlds=3", "strategy=fedavgm", *SERVING]),
         ["train.worlds=2", "env.channel.fading=slot", *EVERY_OPTION],
-        slow(["train.worlds=3", "agent.n_step=2"]),
-        slow(["train.worlds=3", "agent.priority.alpha=0.6"]),
         slow(["train.worlds=2", "env.channel.fading=slot", "scheme.power=search"]),
-        slow(["baseline=centralized", "env.robots=2", "train.worlds=2", "agent.n_step=2"]),
+        slow(["baseline=centralized", "env.robots=2", "train.worlds=2"]),
         ["baseline=branching", "train.worlds=2", "env.channel.fading=slot"],
     ],
 )

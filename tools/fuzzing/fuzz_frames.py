@@ -31,16 +31,7 @@ with atheris.instrument_imports(include=["lockstep", "json"]):
     from lockstep.errors import FrameError, LinkError, RobotFailed, RobotLost
     from lockstep.frame_stream import FrameStream
     from lockstep.frames import decode, encode
-    from lockstep.messages import (
-        PLAIN,
-        VERSION,
-        Actions,
-        Expect,
-        Hello,
-        Step,
-        Weights,
-        Welcome,
-    )
+    from lockstep.messages import PLAIN, VERSION, Actions, Expect, Hello, Step, Weights, Welcome
     from lockstep.server import LinkServer
     from lockstep.wire_format import HEADER, MAGIC, Kind
 

@@ -8,7 +8,6 @@ A network has no row for a state, but it has one output for each action. So this
 the output layer's numbers of an action are averaged by how often each robot took that action, all
 others by n_k, and weights are proportional to counts where the table's grow exponentially.
 
-With a dueling head the advantage of an action counts by the action and the state's value by n_k.
 Where nobody has visited anything, all count alike.
 
 No strategy of Flower's weighs one network number by number, so the sum is made here: of float64
@@ -30,7 +29,7 @@ class VisitMean:
 
     def __init__(self, shape: NetworkShape) -> None:
         counted = np.zeros(shape.parameters, np.float32)
-        shape.matrices(counted)[-1][:, : shape.actions] = 1 + np.arange(shape.actions)
+        shape.matrices(counted)[-1][:] = 1 + np.arange(shape.actions)
         self._counted = counted.astype(np.intp)
         """What a number counts by: 0 is all transitions, 1 + a is action a."""
 
