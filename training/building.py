@@ -7,11 +7,11 @@ across rooms every ``rooms.every`` such windows, which is a round.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent import single_threaded
 from conf import Config, ap_network, robot_network, taking_part
@@ -58,17 +58,15 @@ class BuildingRun:
             stream(config.seed, Stream.WEIGHTS, 0)
         )
         self._aps: dict[int, Weights] = {}
-        self._played = np.zeros(count, np.int64)
-        self._ticks = np.zeros(count, np.int64)
-        self._episodes = np.zeros(count, np.int64)
+        self._played, self._ticks, self._episodes = np.zeros((3, count), np.int64)
 
-        def across() -> Any:
-            return build_aggregator(config.rooms.strategy, count, who="room", partial=True)
-
-        self._strategies = {"robots": across(), "ap": across()}
+        self._strategies: dict[str, Any] = {
+            name: build_aggregator(config.rooms.strategy, count, who="room", partial=True)
+            for name in ("robots", "ap")
+        }
         self._shares_ap = config.rooms.access_points == "mean" and config.scheme.phase == "learned"
         if resumed is not None:
-            self._restore(resumed.arrays)
+            self._restore(resumed)
 
     def train(self, host: RoomHost) -> dict[str, Any]:
         """Trains until the end of the round after the last tick, or as many episodes a room.
@@ -85,7 +83,7 @@ class BuildingRun:
         recorder.on_start()
         try:
             stopped = False
-            while not (stopped or self._is_over()):
+            while not (stopped or self.progress.reaches(self._config.train)):
                 stopped = self._play_round(host)
             writer.wait()
             trained_s = recorder.end_training()
@@ -111,15 +109,18 @@ class BuildingRun:
         self.progress.tick += config.rooms.every * config.federation.every
         self.progress.window += config.rooms.every
         for index in came:
-            self._take(index, reports[index], number)
+            self._played[index], self._ticks[index] = number, reports[index].ticks
+            self._episodes[index] += len(reports[index].episodes)
+            if not self._shares_ap:
+                self._aps[index] = reports[index].ap
         self.progress.episodes = int(self._episodes.sum()) // len(self.rooms)
         self.recorder.on_reports(self.progress, reports, missing)
         if came:
             self._share(number, [reports[index] for index in came])
         self.recorder.on_round(self.progress, self._model[0], self.ap_of)
         stopped = self._folder.stop_file.exists()
-        due = host.forgets or self._is_due(number) or stopped or self._is_over()
-        if config.state.every is not None and due:
+        over = stopped or self.progress.reaches(config.train)
+        if config.state.every is not None and (host.forgets or over or self._is_due(number)):
             host.keep()
             self._checkpoint()
         return stopped
@@ -147,13 +148,6 @@ class BuildingRun:
             stream(self._config.seed, Stream.WEIGHTS, 1)
         )
 
-    def _take(self, index: int, report: RoomReport, number: int) -> None:
-        """Notes how far a room has come, and its access point's network if that is its own."""
-        self._played[index], self._ticks[index] = number, report.ticks
-        self._episodes[index] += len(report.episodes)
-        if not self._shares_ap:
-            self._aps[index] = report.ap
-
     def _share(self, number: int, reports: Sequence[RoomReport]) -> None:
         """Averages across the rooms that have come, in the order of their indices."""
         uploads = np.stack([report.model for report in reports])
@@ -180,11 +174,6 @@ class BuildingRun:
 
     # --- Where it ends, and what it keeps ---------------------------------------------------------
 
-    def _is_over(self) -> bool:
-        train = self._config.train
-        late = train.max_ticks is not None and self.progress.tick >= train.max_ticks
-        return late or self.progress.episodes >= train.episodes
-
     def _is_due(self, number: int) -> bool:
         """Whether a checkpoint is due in a round: its windows pass a multiple of ``every``."""
         every, windows = self._config.state.every, self._config.rooms.every
@@ -192,9 +181,8 @@ class BuildingRun:
 
     def _checkpoint(self) -> None:
         """Writes the server's checkpoint of a round; those of all rooms are there."""
-        counters = [self.progress.tick, self.progress.window, self.progress.episodes]
         run = {
-            "progress": np.array(counters),
+            "progress": np.array(astuple(self.progress)),
             "model": self._model,
             "played": self._played,
             "ticks": self._ticks,
@@ -207,9 +195,9 @@ class BuildingRun:
         self._accounts.checkpoint(self.progress.window, copies, self.recorder)
         self._accounts.writer.wait()  # or rooms could be ahead of it by more than one
 
-    def _restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def _restore(self, resumed: Checkpoint) -> None:
+        arrays, self.progress = resumed.arrays, resumed.progress
         run = part(arrays, "run")
-        self.progress = Progress(*(int(count) for count in run["progress"]))
         self._model = run["model"]
         self._played, self._ticks, self._episodes = (
             run[name].copy() for name in ("played", "ticks", "episodes")

@@ -69,12 +69,7 @@ class OwnParts:
 
 
 class OwnLayers(OwnParts):
-    """Layers that are not combined.
-
-    Args:
-        shape: of the robots' networks.
-        own: ``heads``, ``trunk`` or ``input``.
-    """
+    """Layers that are not combined: ``heads``, ``trunk`` or ``input``."""
 
     def __init__(self, shape: NetworkShape, own: str) -> None:
         self._shared = shared_numbers(shape, own)
