@@ -7,31 +7,24 @@ across rooms every ``rooms.every`` such windows, which is a round.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent import single_threaded
-from conf import Config, ap_network, fingerprint, robot_network, taking_part
+from conf import Config, ap_network, robot_network, taking_part
 from conf.rooms import Room
 from env.seeding import Stream, stream
-from storage.checkpoint_files import Writer, digest
-from storage.checkpoint_layout import owner
-from training.checkpoint import Checkpoint, flat, part, save_server
-from training.known_rooms import known_rooms
-from training.recording.costs import Costs
+from storage.checkpoint_files import digest
+from training.checkpoint import Checkpoint, flat, part
 from training.recording.progress import Progress
-from training.recording.summary import summarise
+from training.recording.summary import FINAL_EPSILON, Accounts
 from training.room_evaluation import RoomScore, RoomsEvaluator, overall, score
 from training.room_recording import BuildingRecorder
-from training.rooms import RoomHost, RoomReport, RoomTask, RoundTask, Weights
+from training.rooms import RoomHost, RoomReport, RoomTask, RoundTask, Weights, known_rooms
 from training.run_folder import RunFolder
-
-FINAL_EPSILON = 0.05
 
 
 class BuildingRun:
@@ -50,21 +43,17 @@ class BuildingRun:
 
         single_threaded()
         self._config, self._folder = config, folder
-        spent = {"wall_s": 0.0, "cpu_s": 0.0} if resumed is None else resumed.meta["spent"]
-        self._began = time.perf_counter() - spent["wall_s"]
-        self._cpu_before = time.process_time() - spent["cpu_s"]
-        self._costs_before = Costs() if resumed is None else Costs(**resumed.meta["costs"])
-        self._host: RoomHost | None = None
+        self._accounts = Accounts(config, folder, resumed)
         folder.path.mkdir(parents=True, exist_ok=True)
         rooms = known_rooms(config, folder)
         self.rooms = [room for room in rooms if not room.held_out]
         self._held_out = [room for room in rooms if room.held_out]
         self._evaluator = RoomsEvaluator(config, rooms)
         marks = None if resumed is None else resumed.meta["marks"]
-        self.recorder = BuildingRecorder(config, folder, self._evaluator, self._cpu_s, marks)
-        self._writer = Writer()
-        count = len(self.rooms)
-        self.progress = Progress()
+        self.recorder = BuildingRecorder(
+            config, folder, self._evaluator, self._accounts.cpu_s, marks
+        )
+        count, self.progress = len(self.rooms), Progress()
         self._model = robot_network(rooms[0].config(config)).initial_pair(
             stream(config.seed, Stream.WEIGHTS, 0)
         )
@@ -90,15 +79,15 @@ class BuildingRun:
         Returns:
             What ``summary.json`` holds.
         """
-        self._host = host
-        recorder = self.recorder
+        recorder, writer = self.recorder, self._accounts.writer
+        self._accounts.added = host.costs
         recorder.clients = host.clients
         recorder.on_start()
         try:
             stopped = False
             while not (stopped or self._is_over()):
                 stopped = self._play_round(host)
-            self._writer.wait()
+            writer.wait()
             trained_s = recorder.end_training()
             recorder.report("finishing", self.progress)
             summary = self._finish(trained_s, stopped=stopped)
@@ -106,7 +95,7 @@ class BuildingRun:
             recorder.report("done", self.progress)
         finally:
             recorder.close()
-            self._writer.close()
+            writer.close()
         return summary
 
     def _play_round(self, host: RoomHost) -> bool:
@@ -180,8 +169,7 @@ class BuildingRun:
         With networks of their own, access points of rooms that have not played yet, and of those
         that are held out, have the one that all start from.
         """
-        online: Weights = self._ap_pair(room)[0]
-        return online
+        return np.asarray(self._ap_pair(room)[0])
 
     def _ap_pair(self, room: Room) -> Weights:
         """As ``ap_of``, online and target, shape (2, P_AP)."""
@@ -202,12 +190,6 @@ class BuildingRun:
         every, windows = self._config.state.every, self._config.rooms.every
         return every is not None and number * windows // every > (number - 1) * windows // every
 
-    def _cpu_s(self) -> float:
-        return time.process_time() - self._cpu_before + self._costs().client_cpu_s
-
-    def _costs(self) -> Costs:
-        return self._costs_before.plus(Costs() if self._host is None else self._host.costs())
-
     def _checkpoint(self) -> None:
         """Writes the server's checkpoint of a round; those of all rooms are there."""
         counters = [self.progress.tick, self.progress.window, self.progress.episodes]
@@ -220,22 +202,10 @@ class BuildingRun:
         }
         aps = {str(index): ap for index, ap in self._aps.items()}
         strategies = {f"strategy-{name}": s.state() for name, s in self._strategies.items()}
-        meta = {
-            **owner(self._config.run.id),
-            "spent": {
-                "wall_s": time.perf_counter() - self._began,
-                "cpu_s": time.process_time() - self._cpu_before,
-            },
-            "costs": asdict(self._costs()),
-            "marks": self.recorder.marks(),
-            "fingerprint": fingerprint(self._config.env),
-            "losses": [],
-        }
         arrays = flat({"run": run, "aps": aps, **strategies})
         copies = {name: np.array(array) for name, array in arrays.items()}
-        save_server(self._writer, self._folder.state, self.progress.window, copies, meta)
-        self._writer.wait()  # or rooms could be ahead of it by more than one
-        self.recorder.checkpoint = self.progress.window
+        self._accounts.checkpoint(self.progress.window, copies, self.recorder)
+        self._accounts.writer.wait()  # or rooms could be ahead of it by more than one
 
     def _restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         run = part(arrays, "run")
@@ -267,28 +237,16 @@ class BuildingRun:
             "trained_in": [each for each in scores if not each.room.held_out],
             "held_out": [each for each in scores if each.room.held_out],
         }
-        common = summarise(
-            config,
-            self.recorder,
-            self.progress,
-            overall(kinds["trained_in"]),
-            digests,
-            self._costs(),
-            trained_s,
+        scored = overall(kinds["trained_in"])
+        summary = self._accounts.summary(
+            self.recorder, self.progress, scored, digests, trained_s, stopped=stopped
         )
-        summary = common | {
-            "stopped_early": stopped,
-            "wall_s": time.perf_counter() - self._began,
-            "cpu_s": self._cpu_s(),
-            "clients": self.recorder.clients(),
-            "losses": [],
-            "rooms": {
-                "count": len(self.rooms),
-                "robots": sum(room.config(config).env.robots for room in self.rooms),
-                "ticks": [int(ticks) for ticks in self._ticks],
-                "episodes": [int(episodes) for episodes in self._episodes],
-                **{kind: overall(some)[1] for kind, some in kinds.items() if some},
-            },
+        summary["rooms"] = {
+            "count": len(self.rooms),
+            "robots": sum(room.config(config).env.robots for room in self.rooms),
+            "ticks": self._ticks.tolist(),
+            "episodes": self._episodes.tolist(),
+            **{kind: overall(some)[1] for kind, some in kinds.items() if some},
         }
         folder.write_summary(summary)
         if config.run.figures:

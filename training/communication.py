@@ -13,15 +13,12 @@ from conf import Config, flower_clients, robot_network
 from lockstep.wire_format import actions_size, step_size
 from training.aggregation.gossip import mean_degree
 from training.exchange.packing import NUMBER, payload_bytes
-from training.exchange.selection import asked_robots
+from training.exchange.reception import asked_robots
 from training.partition import partition_robots, step_layout
 
 
 def per_tick(config: Config) -> dict[str, float]:
     """Bytes that all K robots together send and receive in a tick, by who learns and how.
-
-    Args:
-        config: of a run.
 
     Returns:
         By name, all but the last in bytes:

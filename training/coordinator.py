@@ -20,7 +20,7 @@ from env.world import StepResult, World
 from lockstep import Expect, Fleet
 from storage.generators import generator_state, restore_generator
 from training.checkpoint import flat, part
-from training.controllers.access_point import RisController
+from training.controllers.service import RisController
 from training.exchange.facts import WindowFacts, plain
 from training.partition import step_layout
 from training.recording.progress import Observer, Progress
@@ -119,10 +119,10 @@ class Coordinator:
             if self._federation is None:
                 self._shared = plain(uploads)
             else:
-                found = self._federation.exchange(window, model, uploads, self._facts())
-                self._hold(model := found.model)
+                model, payload = self._federation.exchange(window, model, uploads, self._facts())
+                self._hold(model)
                 if not final:
-                    self._fleet.download(window, found.payload)
+                    self._fleet.download(window, payload)
             self._observer.on_window(self.progress, self._shared, self._ap.weights())
             self._keep(final)
         return self._rows(model)

@@ -10,18 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from agent import q_values
-from conf import (
-    Config,
-    ConfigError,
-    ap_network,
-    robot_actions,
-    robot_network,
-    robots_learn,
-)
+from conf import Config, ConfigError, ap_network, robot_actions, robot_network, robots_learn
 from env.downlink.combinations import count_combinations
 from env.mdp.actions import ActionSpace
 from env.seeding import Stream, stream
-from training.controllers.policies import Exploration, PolicyWeights, RobotNetworks, frozen_policy
+from training.controllers.policies import (
+    Exploration,
+    PolicyWeights,
+    RobotNetworks,
+    explored,
+    frozen_policy,
+)
 
 if TYPE_CHECKING:
     from env.apis.parallel_env import RISFleetParallelEnv
@@ -253,10 +252,6 @@ def _rows(observations: ArrayLike, ends: tuple[int, ...]) -> NDArray[np.float32]
 
 
 def _explored(best: Actions, count: int, epsilon: float, generator: np.random.Generator) -> Actions:
-    """Replaces a share of actions by random ones below ``count``."""
     if not 0.0 <= epsilon <= 1.0:
         raise ValueError(f"epsilon={epsilon}: allowed is a number from 0 to 1")
-    if not epsilon:
-        return best
-    random = generator.integers(count, size=best.shape)
-    return np.asarray(np.where(generator.random(best.shape) < epsilon, random, best))
+    return explored(best, count, epsilon, generator) if epsilon else best

@@ -17,8 +17,8 @@ from client_app import app as client
 from conf import Config
 from experiments.runtimes import local
 from server_app import buildings
-from server_app.buildings import MOST_FAILURES, FlowerRooms, train_building
-from server_app.nodes import RoundError
+from server_app.buildings import FlowerRooms, train_building
+from server_app.nodes import MOST_FAILURES, RoundError
 from storage.checkpoint_layout import node_folder, room_folder
 from training.checkpoint import latest
 from training.room_messages import ROOMS, read_asked

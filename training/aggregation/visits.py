@@ -25,11 +25,7 @@ Weights = NDArray[np.float32]
 
 
 class VisitMean:
-    """Averages networks by visits.
-
-    Args:
-        shape: of the robots' networks.
-    """
+    """Averages networks by visits."""
 
     def __init__(self, shape: NetworkShape) -> None:
         counted = np.zeros(shape.parameters, np.float32)
