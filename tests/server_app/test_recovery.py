@@ -37,18 +37,17 @@ class MovingGrid(FakeGrid):
     """A grid whose nodes may leave, and be back once the server has looked a few times."""
 
     looks_away = 0
-    all_nodes: list[int]
 
     def leave_for_a_while(self, node: int) -> None:
-        self.all_nodes, self.looks_away = self.nodes, 4
-        self.nodes = [other for other in self.nodes if other != node]
+        self.all_nodes, self.looks_away = list(self.nodes), 4
+        self.nodes.remove(node)
 
     def get_node_ids(self) -> Iterable[int]:
         there = list(super().get_node_ids())
         if self.looks_away:
             self.looks_away -= 1
             if not self.looks_away:
-                self.nodes = self.all_nodes
+                self.nodes[:] = self.all_nodes
         return there
 
 
