@@ -35,6 +35,8 @@ from lockstep.messages import (
 from lockstep.wire_format import TEXT_SIZE, model_size, step_size
 
 log = logging.getLogger(__name__)
+LINGER_S = 1.0
+"""How long a client that has said why it stops waits for the server to close."""
 
 
 def serve(
@@ -129,7 +131,7 @@ class _Line:
         except (ServerLost, SystemExit, KeyboardInterrupt):
             raise
         except BaseException as error:
-            self._stream.finish(encode(Failure(described(error))), linger_s=1.0)
+            self._stream.finish(encode(Failure(described(error))), linger_s=LINGER_S)
             raise
 
     def _converse(self) -> None:
