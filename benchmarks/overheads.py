@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from agent import DQN, single_threaded
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 from benchmarks.clients import Mode, connected_clients
 from benchmarks.deployment import Lockstep
 from benchmarks.local import ServerSide, configured, initial_weights

@@ -33,12 +33,7 @@ class CheckpointedRobots:
         parameters: P, of one network.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        robots: Sequence[int],
-        state: Path | None,
-    ) -> None:
+    def __init__(self, config: Config, robots: Sequence[int], state: Path | None) -> None:
         self._config, self._state = config, state
         self._ended: tuple[int, bool] | None = None
         self._group = RobotGroup(config, robots)
@@ -53,11 +48,7 @@ class CheckpointedRobots:
         return actions
 
     def upload(self) -> Payload:
-        """See ``Robots.upload``.
-
-        Raises:
-            OSError: a checkpoint could not be written before.
-        """
+        """See ``Robots.upload``; a checkpoint that could not be written is an OSError."""
         sent = self._group.upload()  # before it is saved: a robot remembers what it has sent
         self._save()
         return sent
@@ -73,8 +64,8 @@ class CheckpointedRobots:
         self._save()
         self._writer.wait()
         robots = self._group.robots
-        kept = [_whole_windows(self._state, robot, self._config.run.id) for robot in robots]
-        return sorted(frozenset.intersection(*kept))
+        kept = (_whole_windows(self._state, robot, self._config.run.id) for robot in robots)
+        return sorted(set.intersection(*kept))
 
     def begin(self, window: int, model: Payload | None) -> None:
         """See ``Robots.begin``.
@@ -94,19 +85,11 @@ class CheckpointedRobots:
             self._group.download(window, model)
 
     def close(self) -> None:
-        """Waits until all is on disk.
-
-        Raises:
-            OSError: it could not be written.
-        """
+        """Waits until all is on disk; an OSError where it cannot be written."""
         self._writer.close()
 
     def _save(self) -> None:
-        """Writes the checkpoints of a window that has ended, where due or the last of a round.
-
-        Raises:
-            OSError: the ones before could not be written.
-        """
+        """Writes the checkpoints of a window that has ended, where due or the last of a round."""
         if self._ended is None:
             return
         (window, last), self._ended = self._ended, None
@@ -121,7 +104,7 @@ class CheckpointedRobots:
             self._writer.wait()
 
 
-def _whole_windows(state: Path, robot: int, run: str | None) -> frozenset[int]:
+def _whole_windows(state: Path, robot: int, run: str | None) -> set[int]:
     """The windows of which a robot has a checkpoint that is whole and its own."""
     whole = set()
     for window, folder in robot_windows(state, robot).items():
@@ -131,16 +114,11 @@ def _whole_windows(state: Path, robot: int, run: str | None) -> frozenset[int]:
             log.warning("robot %d cannot go on from window %d: %s", robot, window, error)
         else:
             whole.add(window)
-    return frozenset(whole)
+    return whole
 
 
 def held_robots(state: Path, robots: int) -> list[int]:
-    """The robots, of K, of which there is any checkpoint.
-
-    Args:
-        state: the folder of checkpoints on this machine.
-        robots: K.
-    """
+    """The robots, of K, of which there is any checkpoint in a folder."""
     return [robot for robot in range(robots) if robot_windows(state, robot)]
 
 

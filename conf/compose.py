@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import os
 from collections.abc import Sequence
 from functools import lru_cache
@@ -22,6 +24,7 @@ from conf.checks import problems
 from conf.errors import ConfigError, first_sentence, sentence
 from conf.overrides import FOLDER, lines, parse, schema_node, writable
 from conf.own_groups import located_plan
+from conf.removed_keys import drop_removed
 from conf.schema import Config
 from conf.user_paths import CHANNELS, PATHS
 from env.checks import planned_config
@@ -137,13 +140,18 @@ def overridden(config: Config, overrides: Sequence[str]) -> Config:
 
 
 def to_yaml(config: Config) -> str:
-    """The whole configuration as YAML."""
-    return OmegaConf.to_yaml(OmegaConf.structured(config))
+    """The whole configuration as YAML, which messages and files of a run hold again and again."""
+    return _yaml_of(json.dumps(dataclasses.asdict(config)))
+
+
+@lru_cache(maxsize=8)
+def _yaml_of(values: str) -> str:
+    return OmegaConf.to_yaml(OmegaConf.merge(schema_node(), json.loads(values)))
 
 
 @lru_cache(maxsize=8)
 def from_yaml(text: str) -> Config:
-    """Reads what ``to_yaml`` wrote.
+    """Reads what ``to_yaml`` wrote, here or in an earlier version.
 
     Raises:
         ConfigError: it does not fit this version's schema.
@@ -154,4 +162,5 @@ def from_yaml(text: str) -> Config:
         raise ConfigError(f"the configuration is no YAML: {first_sentence(error)}.") from error
     if not isinstance(node, DictConfig):
         raise ConfigError("the configuration is no mapping of keys to values.")
+    drop_removed(node)
     return _checked(node, typed=False)

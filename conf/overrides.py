@@ -19,6 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from conf import own_groups
 from conf.errors import ConfigError, shown
+from conf.removed_keys import check_removed
 from conf.schema import Config
 from conf.user_paths import LISTED, PATHS, with_quoted_path
 from env.validate import hints_of, refused
@@ -199,6 +200,7 @@ def _field(key: str) -> tuple[Any, Any]:
     """
     if key in _fields():
         return _fields()[key]
+    check_removed(key)
     if close := difflib.get_close_matches(key, [*all_keys(), *GROUPS], n=3, cutoff=0.6):
         raise ConfigError(f"{key} is no key: did you mean {' or '.join(close)}?")
     above = key

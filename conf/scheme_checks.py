@@ -91,17 +91,8 @@ def _central_problems(config: Config) -> Iterator[Problem]:
             yield f"scheme.{key}", getattr(config.scheme, key), f"learned with {who}"
     if (order := config.env.state.order) != "index":
         yield "env.state.order", order, f"index with {who}: it acts for robots by their index"
-    agent, count = config.agent, joint_actions(config)
-    if config.scheme.agents == "branching":
-        for key, value, off in (
-            ("n_step", agent.n_step, 1),
-            ("dueling", agent.dueling, False),
-            ("priority.alpha", agent.priority.alpha, 0.0),
-        ):
-            if value != off:
-                say = f"with {who}: several heads have no such way of learning here"
-                yield f"agent.{key}", value, f"{str(off).lower()} {say}"
-    elif count > MOST_JOINT_ACTIONS:
+    count = joint_actions(config)
+    if config.scheme.agents == "centralized" and count > MOST_JOINT_ACTIONS:
         say = (
             f"fewer with {who}: the joint actions of all are {count:,}, and at most"
             f" {MOST_JOINT_ACTIONS:,} are taken (scheme.agents=branching has no such bound)"

@@ -1,7 +1,7 @@
 """The two ends of the link, whatever lies between them."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,8 @@ def answer(
         handler: of n robots.
         step: for them.
         robots: n.
-        n_parameters: P.
-        layout: of the frames.
+        n_parameters: P, of one network.
+        layout: of the weights.
     """
     actions = handler.step(step)
     if step.expect is Expect.ACTIONS:
@@ -108,23 +108,12 @@ class ProtocolState:
         self.tick, self.window = tick, window
         self._next = _AFTER[expect]
 
-    def on_actions(self, tick: int) -> None:
-        """Actions are asked for."""
-        if self._next != "actions" or tick != self.tick:
-            raise ProtocolError(f"actions of tick {tick} where {self._next} is due, {self}")
-        self._next = "send_step"
-
-    def on_upload(self, window: int) -> None:
-        """An upload is asked for."""
-        if self._next != "upload" or window != self.window:
-            raise ProtocolError(f"an upload of window {window} where {self._next} is due, {self}")
-        self._next = "download"
-
-    def on_download(self, window: int) -> None:
-        """A global model goes out."""
-        if self._next != "download" or window != self.window:
-            raise ProtocolError(f"a download of window {window} where {self._next} is due, {self}")
-        self._next = "send_step"
+    def on_call(self, call: Literal["actions", "upload", "download"], number: int) -> None:
+        """`actions` of a tick is called, or `upload` or `download` of a window."""
+        kind, due = ("tick", self.tick) if call == "actions" else ("window", self.window)
+        if call != self._next or number != due:
+            raise ProtocolError(f"{call} of {kind} {number} where {self._next} is due, {self}")
+        self._next = "download" if call == "upload" else "send_step"
 
 
 _AFTER = {Expect.ACTIONS: "actions", Expect.WEIGHTS: "upload", Expect.END_ROUND: "a new round"}

@@ -31,9 +31,7 @@ class LocalFleet:
     """
 
     def __init__(
-        self,
-        handlers: Sequence[tuple[tuple[int, ...], Robots]],
-        layout: Layout = PLAIN,
+        self, handlers: Sequence[tuple[tuple[int, ...], Robots]], layout: Layout = PLAIN
     ) -> None:
         """A fleet before its first step.
 
@@ -41,10 +39,9 @@ class LocalFleet:
             handlers: each with the robots that it holds; together 0..K-1.
             layout: of the steps' records.
         """
-        self._robots, self._layout = robot_count([block for block, _ in handlers]), layout
-        self._handlers = [
-            (tuple(block), layout.rows_of(block), handler) for block, handler in handlers
-        ]
+        blocks = [block for block, _ in handlers]
+        self._robots, self._layout = robot_count(blocks), layout
+        self._handlers = [(block, layout.rows_of(block), handler) for block, handler in handlers]
         self._protocol = ProtocolState()
         self._answers: list[NDArray[np.int32]] = []
         self._parameters: int | None = None
@@ -66,7 +63,7 @@ class LocalFleet:
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
         self._check_open()
-        self._protocol.on_actions(tick)
+        self._protocol.on_call("actions", tick)
         result = np.empty(self._robots * self._layout.worlds, np.int32)
         for (_, rows, _), given in zip(self._handlers, self._answers, strict=True):
             result[rows] = given
@@ -75,14 +72,14 @@ class LocalFleet:
     def upload(self, window: int) -> Payload:
         """See `Fleet.upload`."""
         self._check_open()
-        self._protocol.on_upload(window)
+        self._protocol.on_call("upload", window)
         return self._uploaded()
 
     def download(self, window: int, weights: Payload) -> None:
         """See `Fleet.download`."""
         self._check_open()
         checked_download(weights, self._robots, self._parameters or weights.shape[-1], self._layout)
-        self._protocol.on_download(window)
+        self._protocol.on_call("download", window)
         for block, _, handler in self._handlers:
             with self._failing(block):
                 handler.download(window, of_block(weights, block))
@@ -101,17 +98,16 @@ class LocalFleet:
 
     def _uploaded(self) -> Payload:
         """The robots' weights as they are now, in robot order."""
-        parts: dict[tuple[int, ...], Payload] = {}
+        parts = []
         for block, _, handler in self._handlers:
             with self._failing(block):
                 weights = handler.upload()
                 if self._parameters is None and not self._layout.upload:
                     self._parameters = weights.shape[-1]
                 parameters = self._parameters or 0
-                parts[block] = checked_upload(weights, len(block), parameters, self._layout)
-        first = next(iter(parts.values()))
-        result: Payload = np.empty((self._robots, *first.shape[1:]), first.dtype)
-        for block, part in parts.items():
+                parts.append(checked_upload(weights, len(block), parameters, self._layout))
+        result = np.empty((self._robots, *parts[0].shape[1:]), parts[0].dtype)
+        for (block, _, _), part in zip(self._handlers, parts, strict=True):
             result[list(block)] = part
         return result
 

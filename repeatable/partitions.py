@@ -58,9 +58,8 @@ class Partitions:
                 return {partition: held[partition] for partition in range(count)}
             if time.monotonic() - said > _SAY_S:
                 said = time.monotonic()
-                missing = [str(partition) for partition in range(count) if partition not in held]
-                text = "Waiting for the nodes of partitions: %s"
-                logging.getLogger("flwr").info(text, ", ".join(missing) or "all")
+                missing = ", ".join(str(each) for each in range(count) if each not in held) or "all"
+                logging.getLogger("flwr").info("Waiting for the nodes of partitions: %s", missing)
             time.sleep(_POLL_S)
 
     def addressed(
@@ -92,15 +91,15 @@ class Partitions:
             ClientLostError: there is none of a client that was asked, or an error.
         """
         found = {self._of_node.get(reply.metadata.src_node_id): reply for reply in replies}
+        asked = sorted(self._asked.items())
         lost = [
             f"{partition} ({_reason(found.get(partition))})"
-            for partition in sorted(self._asked)
+            for partition, _ in asked
             if partition not in found or found[partition].has_error()
         ]
         if lost:
             say = f"round {server_round}: no result from partitions {', '.join(lost)}"
             raise ClientLostError(say)
-        asked = sorted(self._asked.items())
         return [Message(found[partition].content, reply_to=message) for partition, message in asked]
 
     def _ask(self, grid: Grid, nodes: Iterable[int]) -> None:

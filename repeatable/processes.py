@@ -77,14 +77,19 @@ def environment(pid: int) -> Mapping[str, str]:
 
 
 def members(
-    marker: str | None, roots: Iterable[Process] = (), folder: Path | None = None
+    marker: str | None,
+    roots: Iterable[Process] = (),
+    folder: Path | None = None,
+    *,
+    variable: str = MARKER,
 ) -> set[Process]:
     """Running processes that carry the marker, work in the folder, are roots, or descend from any.
 
     Args:
-        marker: value of the environment variable `MARKER`; None looks at parents alone (cheap).
+        marker: value of the environment variable; None looks at parents alone (cheap).
         roots: processes known to belong to the session.
         folder: the session's own; None looks at no folder.
+        variable: the environment variable.
 
     Returns:
         The processes, this one and zombies left out.
@@ -92,9 +97,10 @@ def members(
     rows = table()
     known = {root.pid for root in roots if rows.get(root.pid) == root}
     if marker is not None:
-        unknown = rows.keys() - known
         folder = folder and folder.resolve()
-        known |= {pid for pid in unknown if _is_marked(pid, marker) or _works_in(pid, folder)}
+        for pid in rows.keys() - known:
+            if environment(pid).get(variable) == marker or (folder and _works_in(pid, folder)):
+                known.add(pid)
     children: dict[int, list[int]] = {}
     for row in rows.values():
         children.setdefault(row.parent, []).append(row.pid)
@@ -116,17 +122,10 @@ def terminate(
     grace_s: float = 3.0,
     kill_s: float = 5.0,
 ) -> set[Process]:
-    """Ask a session's processes to end, and kill those that have not after the grace.
-
-    Args:
-        marker: as in `members`.
-        roots: as in `members`.
-        folder: as in `members`.
-        grace_s: seconds from SIGTERM to SIGKILL.
-        kill_s: seconds of SIGKILL before giving up.
+    """Ask a session's processes, see `members`, to end; SIGKILL follows `grace_s` seconds later.
 
     Returns:
-        The processes that are still there, normally none.
+        The processes that are still there another `kill_s` seconds later, normally none.
     """
     known = set(roots)
     asked: set[Process] = set()
@@ -139,15 +138,11 @@ def terminate(
         known |= alive
         late = elapsed > grace_s
         for process in alive if late else alive - asked:
-            _signal(process, signal.SIGKILL if late else signal.SIGTERM)
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(process.pid, signal.SIGKILL if late else signal.SIGTERM)
         asked |= alive
         time.sleep(0.05)
     return alive
-
-
-def _signal(process: Process, number: int) -> None:
-    with suppress(ProcessLookupError, PermissionError):
-        os.kill(process.pid, number)
 
 
 def _row(handle: psutil.Process, booted_s: float) -> Process | None:
@@ -164,12 +159,8 @@ def _row(handle: psutil.Process, booted_s: float) -> Process | None:
         return None
 
 
-def _is_marked(pid: int, marker: str) -> bool:
-    return environment(pid).get(MARKER) == marker
-
-
-def _works_in(pid: int, folder: Path | None) -> bool:
+def _works_in(pid: int, folder: Path) -> bool:
     try:
-        return folder is not None and bool(psutil.Process(pid).cwd() == str(folder))
+        return bool(psutil.Process(pid).cwd() == str(folder))
     except psutil.Error:
         return False

@@ -39,17 +39,13 @@ def double_dqn_values(online_q: FloatArray, target_q: FloatArray) -> FloatArray:
 
 
 def td_target(
-    rewards: FloatArray,
-    terminal: FloatArray,
-    next_values: FloatArray,
-    discount: float | FloatArray,
+    rewards: FloatArray, terminal: FloatArray, next_values: FloatArray, discount: float | FloatArray
 ) -> FloatArray:
     """Target r + discount (1 - terminal) V(s'): a terminal transition does not bootstrap.
 
     Args:
         rewards: shape (n, B).
-        terminal: 1 where the episode ended for good, else 0, or between for a return of several
-            slots (`agent.replay.uniform.RowLayout`), shape (n, B).
+        terminal: 1 where the episode ended for good, else 0, shape (n, B).
         next_values: V(s'), shape (n, B).
         discount: at least 0 and below 1, or one of each n, shape (n, 1).
 

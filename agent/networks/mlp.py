@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.networks.dueling import DuelingHead
-
 if TYPE_CHECKING:
     import torch
 
@@ -26,28 +24,16 @@ Rows = TypeVar("Rows", FloatArray, "torch.Tensor")
 
 @dataclass(frozen=True)
 class NetworkShape:
-    """Sizes of a multilayer perceptron with ReLU between its layers.
-
-    With ``dueling`` the last layer has one output more, the value of the state, and what it says
-    of an action is that action's advantage (see `agent.dueling`).
-    """
+    """Sizes of a multilayer perceptron with ReLU between its layers."""
 
     inputs: int
     hidden: tuple[int, ...]
     actions: int
-    dueling: bool = False
-
-    @property
-    def head(self) -> DuelingHead | None:
-        """What makes action values of the last layer's outputs; None: they are."""
-        return DuelingHead(self.actions) if self.dueling else None
 
     @property
     def layers(self) -> list[tuple[int, int]]:
         """(inputs, outputs) of each layer, first to last."""
-        head = self.head
-        last = self.actions if head is None else head.outputs
-        return list(pairwise((self.inputs, *self.hidden, last)))
+        return list(pairwise((self.inputs, *self.hidden, self.actions)))
 
     @property
     def parameters(self) -> int:
@@ -117,20 +103,17 @@ def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray)
     Returns:
         Q(s, a), shape (n, B, actions).
     """
-    return forward(shape.views(weights), observations, shape.head)
+    return forward(shape.views(weights), observations)
 
 
 def forward(
-    layers: Sequence[tuple[FloatArray, FloatArray]],
-    observations: FloatArray,
-    head: DuelingHead | None = None,
+    layers: Sequence[tuple[FloatArray, FloatArray]], observations: FloatArray
 ) -> FloatArray:
     """The same as `q_values`, on views that the caller has kept.
 
     Args:
         layers: what `NetworkShape.views` gave.
         observations: shape (n, B, inputs).
-        head: `NetworkShape.head`.
 
     Returns:
         Q(s, a), shape (n, B, actions).
@@ -142,4 +125,4 @@ def forward(
         x += bias[:, None]
         if depth < last:
             np.maximum(x, 0, out=x)
-    return x if head is None else head.action_values(x, axis=-1)
+    return x

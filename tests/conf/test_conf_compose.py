@@ -14,6 +14,8 @@ MISTAKES = [
     (["robots=2"], "robots is no key: did you mean env.robots"),
     (["env.ris.qqqqqqq=2"], "env.ris.qqqqqqq is no key: allowed here are env.ris.position_m, "),
     (["env.robots.k=2"], "env.robots.k is no key: did you mean env.robots"),
+    (["agent.n_step=3"], "agent.n_step was taken out: the last commit with it is 2a18898."),
+    (["agent.priority.alpha=.5"], "agent.priority was taken out: the last commit with it is 2a18"),
     (["zzz=1"], "zzz is no key: allowed here are seed, env, agent"),
     (["env.ris=3"], "env.ris is a group of keys: set one of them, such as env.ris.position_m."),
     # A wrong type.
@@ -73,9 +75,6 @@ MISTAKES = [
         ["baseline=centralized", "env.robots=2", "env.state.order=gain"],
         "env.state.order=gain: allowed is index with scheme.agents=centralized",
     ),
-    (["baseline=branching", "agent.n_step=3"], "agent.n_step=3: allowed is 1 with scheme.agents="),
-    (["baseline=branching", "agent.dueling=true"], "agent.dueling=True: allowed is false with "),
-    (["baseline=branching", "agent.priority.alpha=.5"], "agent.priority.alpha=0.5: allowed is 0"),
     (["baseline=shortest_best", "runtime=simulation"], "runtime.name=simulation: allowed is local"),
     (["baseline=shortest_best", "scheme.phase=fixed"], "scheme.phase=fixed: allowed is oracle"),
     (["baseline=shortest_canonical", "scheme.phase=learned"], "scheme.phase=learned: allowed is "),
@@ -250,6 +249,22 @@ def test_a_file_of_another_schema_is_refused(text, message):
     with pytest.raises(ConfigError, match=message) as caught:
         from_yaml(text)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "stored",
+    ["dueling: false", "n_step: 1", "priority: {alpha: 0.0, beta: 0.4}", "factored: false"],
+)
+def test_a_key_that_was_taken_out_is_passed_over_where_it_was_off(stored):
+    text = to_yaml(Config())
+    assert from_yaml(text.replace("agent:\n", f"agent:\n  {stored}\n", 1)) == from_yaml(text)
+
+
+@pytest.mark.parametrize("stored", ["dueling: true", "n_step: 3", "priority: {alpha: 0.6}"])
+def test_a_key_that_was_taken_out_is_refused_where_it_was_on(stored):
+    text = to_yaml(Config()).replace("agent:\n", f"agent:\n  {stored}\n", 1)
+    with pytest.raises(ConfigError, match=r"^agent\.\w+ was taken out: the last commit with it is"):
+        from_yaml(text)
 
 
 def test_a_run_cannot_be_changed_in_place():

@@ -61,9 +61,9 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(composed, changes, s
     "changes",
     [
         ["federation.own=heads", "strategy=krum"],
-        ["federation.own=normalisation", "strategy=fedprox", "agent.dueling=true"],
+        ["federation.own=normalisation", "strategy=fedprox"],
         ["strategy=gossip", "strategy.graph=random", "strategy.degree=2", "train.worlds=2"],
-        ["strategy=visits", "agent.dueling=true"],
+        ["strategy=visits"],
         ["strategy/dp=local", "federation.hear=2", "federation.losses.probability=0.5"],
     ],
 )

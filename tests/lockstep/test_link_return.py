@@ -106,7 +106,7 @@ def test_answers_from_before_are_dropped_and_never_taken_for_new_ones(link):
 
 
 def test_the_ready_of_an_earlier_beginning_does_not_count(make_link):
-    link = make_link(timeout_s=0.5)
+    link = make_link(timeout_s=0.2)
     link.admit((0,))
     raw = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
@@ -177,7 +177,7 @@ def test_a_successors_tokens_shut_the_one_before_out(link):
 
 
 def test_whoever_did_not_answer_in_time_is_out_and_may_come_back(make_link):
-    link = make_link(timeout_s=0.3)
+    link = make_link(timeout_s=0.2)
     link.admit((0,))
     silent = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)

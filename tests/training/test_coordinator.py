@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 from client_app.robots import RobotGroup
 from client_app.state import CheckpointedRobots
 from conf import Config, robot_network

@@ -33,10 +33,7 @@ def register_strategy(name: str, make: Callable[..., Strategy]) -> None:
 
 
 def own_strategy(config: StrategyConfig) -> Strategy:
-    """A fresh strategy.
-
-    Args:
-        config: the group ``strategy``, with ``name=own``.
+    """A fresh strategy of the group ``strategy`` with ``name=own``.
 
     Raises:
         PluginError: it is not there, does not load, does not take the options, or is no strategy.

@@ -11,7 +11,7 @@ import sys
 import textwrap
 import tomllib
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -102,16 +102,16 @@ def test_a_process_that_shows_its_marker_late_is_ended_all_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     looks = []
-    is_marked = processes._is_marked
+    environment = processes.environment
 
-    def late(pid: int, marker: str) -> bool:
+    def late(pid: int) -> Mapping[str, str]:
         looks.extend([pid] if pid == child.pid else [])
-        return len(looks) > 2 and is_marked(pid, marker)
+        return environment(pid) if len(looks) > 2 else {}
 
     child = subprocess.Popen(["sleep", "600"], env={**os.environ, MARKER: "late"})
     try:
         wait_until(lambda: members("late") != set())
-        monkeypatch.setattr(processes, "_is_marked", late)
+        monkeypatch.setattr(processes, "environment", late)
         assert terminate("late") == set()
         assert child.poll() is not None
     finally:
