@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import yaml  # type: ignore[import-untyped]
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.core.config_store import ConfigStore
@@ -17,7 +18,6 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError  # type: ignore[import-untyped]
 
 from conf import own_groups
 from conf.checks import problems
@@ -30,12 +30,12 @@ from conf.user_paths import CHANNELS, PATHS
 from env.checks import planned_config
 from env.geometry import floor_plans
 from env.radio.channel_file import sha256_of
+from env.validate import comments
 
 PLAN = "env.plan"
 
-_NO_HYDRA = [f"~hydra/{group}" for group in ("help", "hydra_help", "hydra_logging", "job_logging",
-             "launcher", "output", "sweeper")]  # fmt: skip
-"""Of Hydra's own configuration nothing is wanted, and composing it takes a tenth of the time."""
+_HYDRAS = ("help", "hydra_help", "hydra_logging", "job_logging", "launcher", "output", "sweeper")
+"""Hydra's own groups: nothing of them is wanted here, and they take a tenth of the time."""
 
 
 def register_schema(plan: str = floor_plans.DEFAULT) -> None:
@@ -101,10 +101,11 @@ def _composed_on(plan: str, overrides: list[str]) -> DictConfig:
     """What Hydra composes on top of a floor plan."""
     register_schema(plan)
     GlobalHydra.instance().clear()
+    left_out = [f"~hydra/{group}" for group in _HYDRAS]
     with initialize_config_dir(str(FOLDER), version_base="1.3", job_name="risfleet"):
         try:
-            return hydra_compose("config", overrides=[*overrides, *_NO_HYDRA])
-        except YAMLError as error:
+            return hydra_compose("config", overrides=[*overrides, *left_out])
+        except yaml.YAMLError as error:
             say = " ".join(line.strip() for line in str(error).splitlines())
             raise ConfigError(f"a group's file is no YAML: {say}.") from error
         except (HydraException, OmegaConfBaseException) as error:
@@ -149,6 +150,29 @@ def _yaml_of(values: str) -> str:
     return OmegaConf.to_yaml(OmegaConf.merge(schema_node(), json.loads(values)))
 
 
+def commented_yaml(config: Config) -> str:
+    """The same as people read it: what stands at each field is a comment."""
+    return "\n".join(_lines(config, "")) + "\n"
+
+
+def _lines(config: Any, indent: str) -> Iterator[str]:
+    said = comments(config.__class__)
+    for item in dataclasses.fields(config):
+        value = getattr(config, item.name)
+        if dataclasses.is_dataclass(value):
+            yield f"{indent}{item.name}:"
+            yield from _lines(value, indent + "  ")
+        else:
+            comment = f" # {said[item.name]}" if said[item.name] else ""
+            yield f"{indent}{item.name}: {_value(value)}{comment}"
+
+
+def _value(value: Any) -> str:
+    """A value on one line."""
+    text: str = yaml.safe_dump(value, default_flow_style=True, width=float("inf"))
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
 @lru_cache(maxsize=8)
 def from_yaml(text: str) -> Config:
     """Reads what ``to_yaml`` wrote, here or in an earlier version.
@@ -158,7 +182,7 @@ def from_yaml(text: str) -> Config:
     """
     try:
         node = OmegaConf.create(text)
-    except (YAMLError, OmegaConfBaseException, AssertionError) as error:  # the last: "12"
+    except (yaml.YAMLError, OmegaConfBaseException, AssertionError) as error:  # the last: "12"
         raise ConfigError(f"the configuration is no YAML: {first_sentence(error)}.") from error
     if not isinstance(node, DictConfig):
         raise ConfigError("the configuration is no mapping of keys to values.")

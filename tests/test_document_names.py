@@ -13,7 +13,7 @@ import pytest
 import yaml  # type: ignore[import-untyped]
 
 from conf import Config
-from conf.commented import commented_yaml
+from conf.compose import commented_yaml
 from conf.removed_keys import REMOVED
 
 ROOT = Path(__file__).parent.parent

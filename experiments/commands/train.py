@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from rich.console import Console
 
 from conf import ConfigError
-from conf.commented import commented_yaml
+from conf.compose import commented_yaml
 from conf.overrides import parse
 from conf.user_paths import pasted
 from experiments.batch import train as batch

@@ -17,7 +17,7 @@ from conf import (
     from_yaml,
     windows_per_round,
 )
-from conf.commented import commented_yaml
+from conf.compose import commented_yaml
 from conf.overrides import FOLDER
 from env.checks import planned_config
 from env.config import EnvConfig
