@@ -22,7 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 from conf import own_groups
 from conf.checks import problems
 from conf.errors import ConfigError, first_sentence, sentence
-from conf.overrides import FOLDER, lines, parse, schema_node, writable
+from conf.overrides import FOLDER, lines, node_of, parse, schema_node
 from conf.own_groups import located_plan
 from conf.removed_keys import drop_removed
 from conf.schema import Config
@@ -134,7 +134,7 @@ def overridden(config: Config, overrides: Sequence[str]) -> Config:
     Raises:
         ConfigError: a wrong key, value or combination.
     """
-    node = writable(config)
+    node = node_of(config)
     for override in parse(overrides):
         OmegaConf.update(node, override.key_or_group, override.value())
     return _checked(node)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
 import itertools
@@ -113,24 +114,28 @@ def combinations(overrides: Sequence[Override]) -> list[list[str]]:
 
 @cache
 def schema_node() -> DictConfig:
-    """The schema, to be read and merged alone."""
-    return writable(Config())
-
-
-@cache
-def _trial() -> DictConfig:
-    """The schema once more, in which values are tried."""
-    return writable(Config())
-
-
-def writable(config: Config) -> DictConfig:
-    """A configuration as a typed node, which frozen dataclasses alone would make read-only."""
-    node: DictConfig = OmegaConf.structured(config)
+    """The schema, to be read and merged alone; frozen dataclasses would make it read-only."""
+    node: DictConfig = OmegaConf.structured(Config)
     groups: list[Any] = [node]
     for group in groups:
         OmegaConf.set_readonly(group, None)
         found = [group._get_node(key) for key in group]
         groups += [each for each in found if isinstance(each, DictConfig)]
+    return node
+
+
+@cache
+def _trial() -> DictConfig:
+    """The schema once more, in which values are tried."""
+    return copy.deepcopy(schema_node())
+
+
+def node_of(config: Config) -> DictConfig:
+    """A configuration as a typed node that can be written to."""
+    node = copy.deepcopy(schema_node())
+    for key, (value, _) in _walk(config, ""):
+        if not dataclasses.is_dataclass(value) and value != _fields()[key][0]:
+            OmegaConf.update(node, key, value)
     return node
 
 
