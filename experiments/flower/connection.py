@@ -77,10 +77,10 @@ class Connection:
             self._running = None
         return status
 
-    def log_tail(self, run_id: int, lines: int = 30) -> str:
+    def log_tail(self, run_id: int) -> str:
         """Last lines of what the ServerApp has printed, none where they cannot be had."""
         with suppress(FlowerError):
-            return tail(commands.run_log(self._session, run_id, self._name), lines)
+            return tail(commands.run_log(self._session, run_id, self._name))
         return ""
 
 

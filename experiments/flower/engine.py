@@ -61,9 +61,7 @@ class Engine:
 class SimulationSuperLink(SuperLink):
     """A SuperLink that runs the app on Flower's simulation engine, with Ray."""
 
-    def __init__(
-        self, *, clients: int = 1, log_path: Path, start_timeout_s: float = 120.0, port: int = 0
-    ) -> None:
+    def __init__(self, *, clients: int = 1, log_path: Path, start_timeout_s: float = 120.0) -> None:
         """Prepares so many Flower clients, all of which run at the same time.
 
         All else is as in `SuperLink`; a run's first client, too, has `start_timeout_s` to appear.
@@ -71,7 +69,7 @@ class SimulationSuperLink(SuperLink):
         Raises:
             FlowerError: more clients than can run at once.
         """
-        super().__init__(log_path=log_path, start_timeout_s=start_timeout_s, port=port)
+        super().__init__(log_path=log_path, start_timeout_s=start_timeout_s)
         most = max_concurrent_clients()
         if not 1 <= clients <= most:
             raise FlowerError(

@@ -89,17 +89,6 @@ def free_port() -> int:
     return port
 
 
-def port_in_use(port: int) -> bool:
-    """Whether something listens on that loopback port already."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, port))
-        except OSError:
-            return True
-    return False
-
-
-def tail(text: str, lines: int) -> str:
+def tail(text: str, lines: int = 30) -> str:
     """The last lines of a text."""
     return "\n".join(text.rstrip().splitlines()[-lines:])

@@ -58,14 +58,13 @@ class Federation(SuperLink):
         revive: bool = True,
         log_path: Path,
         start_timeout_s: float = 120.0,
-        port: int = 0,
     ) -> None:
         """Prepares so many SuperNodes; all else is as in `SuperLink`.
 
         Where it is `secure`, the SuperLink has a certificate, and SuperNodes keys that it knows;
         `revive` says whether a SuperNode that has died is started anew.
         """
-        super().__init__(log_path=log_path, start_timeout_s=start_timeout_s, port=port)
+        super().__init__(log_path=log_path, start_timeout_s=start_timeout_s)
         self._count, self._secure, self._revive = nodes, secure, revive
         self._keys: FleetKeys | None = None
         self._spare: list[NodeKeys] = []

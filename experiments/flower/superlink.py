@@ -16,7 +16,6 @@ from experiments.flower.environment import (
     ProcessLostError,
     flower_command,
     free_port,
-    port_in_use,
     tail,
 )
 from experiments.flower.executor import Executor
@@ -44,18 +43,16 @@ class SuperLink:
     simulated: int | None = None
     """Nodes that Flower's simulation engine is to run; None where SuperNodes join."""
 
-    def __init__(self, *, log_path: Path, start_timeout_s: float = 120.0, port: int = 0) -> None:
+    def __init__(self, *, log_path: Path, start_timeout_s: float = 120.0) -> None:
         """Prepares; nothing is started yet.
 
         Args:
             log_path: file that gets the SuperLink's output and, at the end, the runs' own.
             start_timeout_s: seconds for the SuperLink to answer, and again for a run to start.
-            port: TCP port on loopback; 0 takes a free one.
         """
         self._log_path = log_path
         self._start_timeout_s = start_timeout_s
-        self._wanted_port = port
-        self._port = port
+        self._port = 0
         self._authority: Path | None = None
         self._session: Session | None = None
         self._superlink: subprocess.Popen[bytes] | None = None
@@ -70,14 +67,12 @@ class SuperLink:
         Raises:
             FlowerError: it does not, and why.
         """
-        if self._wanted_port and port_in_use(self._wanted_port):
-            raise FlowerError(f"Port {self._wanted_port} on {HOST} is in use by another program.")
         try:
             self._session = Session()
             self._log_path.parent.mkdir(parents=True, exist_ok=True)
             self._log = self._log_path.open("ab")
             for attempt in range(1, _PORT_ATTEMPTS + 1):
-                if self._start(last=bool(self._wanted_port) or attempt == _PORT_ATTEMPTS):
+                if self._start(last=attempt == _PORT_ATTEMPTS):
                     break
             self._on_start()
         except BaseException:
@@ -120,12 +115,12 @@ class SuperLink:
         self._require_progress(run_id, status)
         return status
 
-    def log_tail(self, run_id: int, lines: int = 30) -> str:
+    def log_tail(self, run_id: int) -> str:
         """Last lines of what the ServerApp and the clients printed, else of the SuperLink's log."""
         text = ""
         with suppress(ControlError):
             text = control.run_log(self._port, run_id, self._authority)
-        return tail(_ANSI.sub("", text), lines) or self._superlink_log(lines)
+        return tail(_ANSI.sub("", text)) or self._superlink_log()
 
     def stop(self) -> None:
         """Ends every process and removes the private folder; may be called again."""
@@ -166,7 +161,7 @@ class SuperLink:
         """Starts the SuperLink; False where its port was taken in the meantime."""
         assert self._session is not None
         assert self._log is not None
-        self._port = self._wanted_port or free_port()
+        self._port = free_port()
         options = self._options(self._session)
         write_connection(self._session.folder, f"{HOST}:{self._port}", self._authority)
         self._log_begin = self._log.seek(0, 2)
@@ -227,10 +222,10 @@ class SuperLink:
                 self._require_alive()  # it may have died just now
                 raise
 
-    def _superlink_log(self, lines: int = 30) -> str:
+    def _superlink_log(self) -> str:
         with suppress(OSError), self._log_path.open("rb") as log:
             log.seek(self._log_begin)
-            return tail(_ANSI.sub("", log.read().decode(errors="replace")), lines)
+            return tail(_ANSI.sub("", log.read().decode(errors="replace")))
         return ""
 
     def _save_run_logs(self) -> None:

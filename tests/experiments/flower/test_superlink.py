@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import signal
-import socket
 import subprocess
 import sys
 import textwrap
@@ -212,16 +211,6 @@ def test_a_session_whose_owner_is_killed_is_cleaned_up() -> None:
 
 
 # --- Starting the SuperLink ---
-
-
-def test_a_port_in_use_is_named_before_anything_starts(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with (
-            pytest.raises(FlowerError, match=f"Port {port} on 127.0.0.1 is in use"),
-            SimulationSuperLink(log_path=tmp_path / "log", port=port),
-        ):
-            pass
 
 
 def test_a_superlink_that_dies_at_its_start_shows_its_last_words(
