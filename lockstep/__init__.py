@@ -12,7 +12,7 @@ from lockstep.errors import (
     ServerLost,
 )
 from lockstep.interface import Fleet, Robots
-from lockstep.local import InProcessFleet, LocalFleet
+from lockstep.local import InProcessFleet
 from lockstep.messages import UPDATE, Expect, Flag, Layout, Payload, Step
 from lockstep.server import LinkServer
 
@@ -27,7 +27,6 @@ __all__ = [
     "LinkError",
     "LinkServer",
     "LinkTimeout",
-    "LocalFleet",
     "Payload",
     "ProtocolError",
     "Refused",
