@@ -2,11 +2,8 @@
 
 from lockstep.client import serve
 from lockstep.errors import (
-    FrameError,
     LinkError,
     LinkTimeout,
-    ProtocolError,
-    Refused,
     RobotFailed,
     RobotLost,
     ServerLost,
@@ -21,15 +18,12 @@ __all__ = [
     "Expect",
     "Flag",
     "Fleet",
-    "FrameError",
     "InProcessFleet",
     "Layout",
     "LinkError",
     "LinkServer",
     "LinkTimeout",
     "Payload",
-    "ProtocolError",
-    "Refused",
     "RobotFailed",
     "RobotLost",
     "Robots",
