@@ -50,18 +50,8 @@ class EpisodeMeasures:
     def summary(self) -> dict[str, float]:
         """Means over the episodes; the path ratio's over all robots that arrived."""
         ratios = self.path_ratio[np.isfinite(self.path_ratio)]
-        return {
-            "success": float(self.success.mean()),
-            "path_ratio": float(ratios.mean()) if len(ratios) else float("nan"),
-            "reward": float(self.reward.mean()),
-            "ee": float(self.ee.mean()),
-            "ee_bits_per_joule": float(self.ee_bits_per_joule.mean()),
-            "sum_rate": float(self.sum_rate.mean()),
-            "min_rate": float(self.min_rate.mean()),
-            "sic_violations": float(self.sic_violations.mean()),
-            "projections": float(self.projections.mean()),
-            "slots": float(self.slots.mean()),
-        }
+        means = {field.name: float(getattr(self, field.name).mean()) for field in fields(self)}
+        return means | {"path_ratio": float(ratios.mean()) if len(ratios) else float("nan")}
 
 
 _COUNTS = ("shortest", "rate_sum", "slots", "arrived", "reward", "failed", "projected")

@@ -39,10 +39,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 class PluginError(ValueError):
     """A model that is not there, does not load, or gives what it must not.
 
-    Args:
-        key: the key that names the model.
-        name: the name.
-        allowed: what is allowed in its place.
+    ``allowed`` says what is, in the place of the name at the key.
     """
 
     def __init__(self, key: str, name: str, allowed: str) -> None:

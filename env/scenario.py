@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,21 @@ from env.mdp.reward import RewardFunction
 from env.radio.radio_map import RadioMap, build_radio_map
 from env.seeding import Stream, stream
 
+MAX_SEEN = 2**20
+"""Most cells times robots for which observations are tabulated: 54 MB, 75 MB with ways."""
+
+
+class ObservationTables(NamedTuple):
+    """What is seen from every cell, where that depends on a robot and its cell alone.
+
+    Attributes:
+        local: s_L without what the AP tells, shape (cells, K, size).
+        by_ap: what the AP sees of a robot while it drives, shape (cells, K, size).
+    """
+
+    local: Floats32
+    by_ap: Floats32
+
 
 class Scenario:
     """Floor, destinations, distances, radio map, observations, actions and rewards of K robots.
@@ -32,8 +48,6 @@ class Scenario:
         radio_map: tables to use; built when they are first asked for if None.
 
     Attributes:
-        config: the same.
-        destinations: the same.
         floor: its cells and walls.
         actions: what a robot can choose.
         observer: makes observations.
@@ -96,7 +110,7 @@ class Scenario:
             channel_db: |hbar_k|^2 in dB, shape (..., K).
 
         Returns:
-            States, float32, shape (..., K, size).
+            States, shape (..., K, size).
         """
         way = None
         if self.observer.has_way:
@@ -104,6 +118,17 @@ class Scenario:
             then = self.slots_to_go[self.next_cell[cell], robot[:, None]]
             way = self.observer.way(self.slots_to_go[cell, robot], then)
         return self.observer.local(cell, channel_db, self.destinations, way)
+
+    @cached_property
+    def tables(self) -> ObservationTables | None:
+        """Observations from all cells; None where channels change by the slot or it is large."""
+        cells, robots = self.distance_m.shape
+        if self.config.channel.fading == "slot" or cells * robots > MAX_SEEN:
+            return None
+        cell = np.broadcast_to(np.arange(cells)[:, None], (cells, robots))
+        direct, everywhere = self.radio_map.direct[cell], np.ones(cell.shape, dtype=bool)
+        local = self.local_states(cell, self.radio_map.direct_db[cell])
+        return ObservationTables(local, self.observer.seen_robots(local, direct, everywhere))
 
     @cached_property
     def start_cells(self) -> list[Ints]:

@@ -13,7 +13,6 @@ from env.config import phase_actions
 from env.downlink.allocation import Allocation, Downlink
 from env.mdp import collisions
 from env.mdp.reward import only
-from env.observation_tables import ObservationTables
 from env.radio.slot_fading import SlotFading
 from env.scenario import Scenario
 
@@ -76,7 +75,7 @@ class World:
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
         self._weighs = self._rewards.weighs_credit or self._rewards.weighs_rates
         self._robot = np.arange(len(self.destinations))
-        self._tables = ObservationTables.of(scenario)
+        self._tables = scenario.tables
         shape = (worlds, self.robots)
         self.cell = np.zeros(shape, dtype=np.int64)
         self.driving = np.zeros(shape, dtype=bool)
@@ -128,14 +127,11 @@ class World:
         return np.ones(self.cell.shape)
 
     def channel(self, phase_action: Ints) -> Complexes:
-        """The combined channel h_k of every robot in this slot.
+        """The combined channel h_k of every robot in this slot, shape (B, K) or (B, A, K).
 
         Args:
             phase_action: the AP's action, shape (B,), or several of each world, shape (B, A) or
                 (1, A).
-
-        Returns:
-            h_k, shape (B, K) or (B, A, K).
         """
         cell, direct = self.cell, self.direct
         if phase_action.ndim > 1:
@@ -249,9 +245,6 @@ class World:
             phase_action: the AP's action, shape (B,).
             direction: index into ``DIRECTIONS``, shape (B, K); read where driving.
             level: power level 1..N_P, shape (B, K); read where driving.
-
-        Returns:
-            What the slot brought.
         """
         drove = self.driving
         running = np.asarray(drove.any(axis=-1))

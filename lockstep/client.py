@@ -6,8 +6,8 @@ import logging
 import socket
 import ssl
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from lockstep.errors import Disconnected, FrameError, LinkTimeout, Refused, ServerLost, described
 from lockstep.frame_stream import FrameStream, prepare
@@ -56,7 +56,7 @@ def serve(
     client_context: ssl.SSLContext | None = None,
     layout: Layout = PLAIN,
 ) -> None:
-    """Serve one round: returns once the handler has taken the step that ends it.
+    """Serve one round: returns once the handler has taken a step that expects `END_ROUND`.
 
     Args:
         address: host and port of the server.
@@ -142,8 +142,10 @@ class _Line:
         while True:
             message = self._recv()
             if isinstance(message, Weights) and message.window == uploaded:
-                model = self._fitting(checked_download, message.weights, self._layout)
-                self._handler.download(message.window, model)
+                weights = message.weights
+                with _due():
+                    checked_download(weights, self._robots, self._parameters, self._layout)
+                self._handler.download(message.window, weights)
                 uploaded = -1
                 continue
             uploaded = -1
@@ -162,10 +164,10 @@ class _Line:
             elif isinstance(message, Abort):
                 self._send(Ack(message.number, tuple(self._handler.windows())))
             elif isinstance(message, Restore):
-                model = message.model
-                if model is not None:
-                    model = self._fitting(checked_model, model)
-                self._handler.begin(message.window, model)
+                if message.model is not None:
+                    with _due():
+                        checked_model(message.model, self._robots, self._parameters)
+                self._handler.begin(message.window, message.model)
                 self._send(Ack(message.number))
             elif isinstance(message, Failure):
                 raise ServerLost(f"the server has stopped: {message.reason}")
@@ -175,13 +177,6 @@ class _Line:
     def _uploaded(self) -> Payload:
         weights = self._handler.upload()
         return checked_upload(weights, self._robots, self._parameters, self._layout)
-
-    def _fitting(self, check: Callable[..., Any], weights: object, *layout: Layout) -> Any:
-        """The server's weights, if they are as was agreed."""
-        try:
-            return check(weights, self._robots, self._parameters, *layout)
-        except (TypeError, ValueError) as error:
-            raise FrameError(str(error)) from error
 
     def _recv(self) -> Message:
         """The server's next message; its arrays are the caller's to keep."""
@@ -202,6 +197,15 @@ class _Line:
             raise Disconnected(f"the server has gone: {described(error)}") from error
 
 
+@contextmanager
+def _due() -> Iterator[None]:
+    """Weights of the server that are not as was agreed make its frame a wrong one."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise FrameError(str(error)) from error
+
+
 def _connected(
     address: tuple[str, int],
     timeout_s: float,
@@ -213,8 +217,8 @@ def _connected(
     deadline = time.monotonic() + timeout_s
     pause = 0.05
     while True:
+        rest = max(0.05, deadline - time.monotonic())
         try:
-            rest = max(0.05, deadline - time.monotonic())
             sock = socket.create_connection(address, timeout=rest)
             break
         except OSError as error:

@@ -1,7 +1,7 @@
 """The two ends of the link, whatever lies between them."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,10 +88,11 @@ class ProtocolState:
         self.tick, self.window = tick, window
         self._next = _AFTER[expect]
 
-    def on_call(self, call: str, number: int) -> None:
+    def on_call(self, call: Literal["actions", "upload", "download"], number: int) -> None:
         """`actions` of a tick is called, or `upload` or `download` of a window."""
-        if call != self._next or number != (self.tick if call == "actions" else self.window):
-            raise ProtocolError(f"{call} of {number} where {self._next} is due, {self}")
+        kind, due = ("tick", self.tick) if call == "actions" else ("window", self.window)
+        if call != self._next or number != due:
+            raise ProtocolError(f"{call} of {kind} {number} where {self._next} is due, {self}")
         self._next = "download" if call == "upload" else "send_step"
 
 

@@ -43,7 +43,6 @@ class InProcessFleet:
         blocks = [block for block, _ in handlers]
         self._robots, self._layout = robot_count(blocks), layout
         self._handlers = [(block, layout.rows_of(block), handler) for block, handler in handlers]
-        self._order = np.argsort([robot for block in blocks for robot in block])
         self._protocol = ProtocolState()
         self._answers: list[NDArray[np.int32]] = []
         self._parameters: int | None = None
@@ -85,8 +84,10 @@ class InProcessFleet:
                     self._parameters = weights.shape[-1]
                 parameters = self._parameters or 0
                 parts.append(checked_upload(weights, len(block), parameters, self._layout))
-        uploaded: Payload = np.concatenate(parts)[self._order]
-        return uploaded
+        result = np.empty((self._robots, *parts[0].shape[1:]), parts[0].dtype)
+        for (block, _, _), part in zip(self._handlers, parts, strict=True):
+            result[list(block)] = part
+        return result
 
     def download(self, window: int, weights: Payload) -> None:
         """See `Fleet.download`."""

@@ -20,9 +20,9 @@ from experiments.runtimes.folders import near
 from experiments.viewer.replays import beside
 from risfleet.evaluation import Evaluation, evaluation_of
 from risfleet.replays import Replay
-from training.known_rooms import known_rooms
 from training.policy import AccessPointPolicy, Policy
 from training.recording.csv_log import read_columns
+from training.rooms import known_rooms
 from training.run_folder import RunFolder
 
 if TYPE_CHECKING:

@@ -31,6 +31,7 @@ from training.run_log import log_lines
 log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
+"""Between two looks whether a client's node is there."""
 PAUSE_S = 1.0
 """Between a round that all rooms have missed and the next try."""
 AWAY = "its Flower node is not there"
@@ -256,6 +257,9 @@ class _ClientRound:
 def train_building(
     grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | None
 ) -> None:
-    """Trains a building with a federation's clients, from a checkpoint where there is one."""
+    """Trains a building with a federation's clients, from a checkpoint where there is one.
+
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
+    """
     with log_lines(config.run.id):
         BuildingRun(config, folder, resumed).train(FlowerRooms(config, grid))

@@ -81,7 +81,11 @@ class Clients:
         self._send([block for block in self.places if block not in self._pending])
 
     def holders(self) -> dict[Block, int]:
-        """The node of each block, where nodes keep states of their own: see ``placed``."""
+        """The node of each block, where nodes keep states of their own; else none.
+
+        Raises:
+            RoundError: some robots' state is on no node.
+        """
         if self._config.runtime.connection is None:
             return {}
         self._held |= held_by(self._grid, self._config, sorted(self._grid.get_node_ids()))
@@ -175,7 +179,10 @@ class Clients:
         self._tokens |= {robot: secrets.token_urlsafe(TOKEN_BYTES) for robot in robots}
 
     def _send(self, blocks: list[Block]) -> None:
-        """Sends train messages; one that Flower does not take is sent again, if the run waits."""
+        """Sends train messages; one that Flower does not take is sent again, if the run waits.
+
+        It takes none for a node that has gone.
+        """
         for block in blocks:
             self.replies.pop(block, None)  # to a message of a round that was given up
         messages = [self._train_message(block) for block in blocks]

@@ -39,10 +39,7 @@ def double_dqn_values(online_q: FloatArray, target_q: FloatArray) -> FloatArray:
 
 
 def td_target(
-    rewards: FloatArray,
-    terminal: FloatArray,
-    next_values: FloatArray,
-    discount: float | FloatArray,
+    rewards: FloatArray, terminal: FloatArray, next_values: FloatArray, discount: float | FloatArray
 ) -> FloatArray:
     """Target r + discount (1 - terminal) V(s'): a terminal transition does not bootstrap.
 

@@ -13,18 +13,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from env.apis.fleet_infos import Columns, slot_columns
 from env.apis.observation_spaces import robot_space
 from env.apis.single_robot import NO_PHASE, config_with, everybodys_actions
 from env.apis.starts import start_cells, starts_asked
-from env.apis.vector_rules import (
-    Columns,
-    Infos,
-    checked_mode,
-    final_infos,
-    infos_of,
-    reset_mask,
-    seeds,
-)
+from env.apis.vector_rules import Infos, checked_mode, final_infos, infos_of, reset_mask, seeds
 from env.arrays import Bools, Complexes, Floats, Floats32, Ints
 from env.checks import refuse
 from env.config import EnvConfig
@@ -173,19 +166,13 @@ class SingleRobotVectorEnv(VectorEnv[Observations, Ints, NDArray[Any]]):
         if waiting.any():
             world.driving = world.driving & ~waiting[:, None]
         phase, direction, level = everybodys_actions(world, actions)
-        channel = self._channel(phase)
+        channel = world.channel(phase)
         idle = [self._sources[i].bit_generator for i in np.flatnonzero(waiting & self._draws)]
         states = [source.state for source in idle]
         outcome = world.step(phase, direction, level)
         for source, state in zip(idle, states, strict=True):
             source.state = state  # fading was drawn for a slot that its episode does not have
         return self._columns(channel, outcome, phase), outcome
-
-    def _channel(self, phase: Ints) -> Complexes:
-        """The robot's h in each world, shape (num_envs,)."""
-        world = self.world
-        channel = world.radio_map.channel(world.cell[:, :1], phase, world.direct[:, :1])
-        return channel[:, 0]
 
     def _columns(
         self,
@@ -194,19 +181,12 @@ class SingleRobotVectorEnv(VectorEnv[Observations, Ints, NDArray[Any]]):
         phase: Ints | None = None,
     ) -> Columns:
         """The infos of a slot, each of shape (num_envs,); without one, those of a reset."""
-        world = self.world
-        if channel is None:
-            channel = world.direct[:, 0]
-        nothing = np.zeros(self.num_envs)
-        sent = outcome.allocation if outcome else None
+        columns = slot_columns(
+            self.world, self.world.direct if channel is None else channel, outcome
+        )
         return {
-            "rate": outcome.rate[:, 0] if outcome else nothing,
-            "power_w": sent.power_w[:, 0] if sent else nothing,
-            "gain_db": 20.0 * np.log10(np.abs(channel)),
-            "sic_failed": sent.sic_failed[:, 0] if sent else nothing.astype(bool),
-            "arrived": outcome.arrived[:, 0] if outcome else nothing.astype(bool),
-            "shortest_slots": world.shortest_slots[:, 0],
-            "sum_rate": outcome.rate.sum(axis=-1) if outcome else nothing,
+            **{name: column[:, 0] for name, column in columns.items()},
+            "sum_rate": columns["rate"].sum(axis=-1),
             "phase": np.full(self.num_envs, NO_PHASE) if phase is None else phase,
         }
 

@@ -30,11 +30,7 @@ def starts_asked(options: Mapping[str, Any] | None) -> Any:
 
 
 def start_cells(world: World, starts_m: Any) -> Ints:
-    """The cells of starts, shape (K,).
-
-    Args:
-        world: in which robots are to start there.
-        starts_m: positions in m, which should be numbers of shape (K, 2).
+    """The cells of starts, positions in m that should be numbers of shape (K, 2); shape (K,).
 
     Raises:
         ValueError: no robot, or not all of them, can start there.

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
+from env.apis.fleet_infos import Columns
 from env.arrays import Bools, Floats32
 
-Columns = dict[str, NDArray[Any]]
-"""Infos by name, each of shape (num_envs,)."""
 Infos = dict[str, Any]
 MASK = "reset_mask"
 
@@ -64,7 +62,10 @@ def seeds(seed: int | Sequence[int | None] | None, count: int) -> Sequence[int |
 
 
 def infos_of(columns: Columns, there: Bools) -> Infos:
-    """Infos of some environments, zeros in the others; ``_name`` says which have them."""
+    """Infos of some environments, zeros in the others, shapes (num_envs,).
+
+    ``_name`` says which have them.
+    """
     columns = {name: np.where(there, all_, np.zeros_like(all_)) for name, all_ in columns.items()}
     return {**columns, **{f"_{name}": there.copy() for name in columns}}
 

@@ -12,14 +12,9 @@ from env.arrays import Bools, Floats, Ints
 
 
 def decoding_order(gain: Floats, served: Bools) -> Ints:
-    """The robots from the strongest channel to the weakest, |h_1| >= ... >= |h_K|.
+    """The robots from the strongest channel to the weakest, |h_1| >= ... >= |h_K|, shape (..., K).
 
-    Args:
-        gain: |h_k|^2, shape (..., K).
-        served: whether a robot is served in this slot, shape (..., K).
-
-    Returns:
-        Robot at each rank, shape (..., K); ties by robot index, robots not served last.
+    Ties go by the robots' index, and robots that are not ``served`` come last; ``gain`` is |h_k|^2.
     """
     return np.where(served, -gain, np.inf).argsort(axis=-1, kind="stable")
 

@@ -28,12 +28,7 @@ def count_combinations(config: EnvConfig, served: int) -> int:
 
 
 def levels_by_rank(config: EnvConfig, robots: int, served: int) -> Ints:
-    """All combinations, those of least power first.
-
-    Args:
-        config: the environment; ``access`` and ``power`` are read.
-        robots: K.
-        served: n, how many of them are served.
+    """All combinations of n = ``served`` of K = ``robots`` robots, those of least power first.
 
     Returns:
         Levels at each rank, shape (C, K), not to be written to; 1 at ranks past the n-th.

@@ -22,14 +22,7 @@ def fractions(levels: Ints) -> Floats:
 
 
 def scaled_to_budget(fraction: Floats) -> Floats:
-    """Powers scaled down where their sum is over the budget, sum p_k <= P_max.
-
-    Args:
-        fraction: p_k / P_max, shape (..., K).
-
-    Returns:
-        The same, times 1 / sum where the sum is above 1.
-    """
+    """Powers p_k / P_max, shape (..., K), over their sum where it is above 1: sum p_k <= P_max."""
     return np.asarray(fraction / np.maximum(fraction.sum(axis=-1, keepdims=True), 1.0))
 
 

@@ -21,17 +21,11 @@ def straight_m(floor: Floor, destinations: Ints) -> Floats:
 
 
 def distances_m(floor: Floor, destinations: Ints, along: str) -> Floats:
-    """d_{D,k} of Eq. (11) at every cell, the world's and the robots' one table.
+    """d_{D,k} of Eq. (11) in m from every cell to n destinations, shape (cells, n).
 
-    Args:
-        floor: the floor.
-        destinations: cells, shape (n,).
-        along: ``env.reward.distance``: ``straight`` is the paper's Euclidean distance; ``way`` the
-            shortest length over the floor, which does not lead into dead ends behind solid walls;
-            ``auto`` the way where walls are solid, the straight distance elsewhere.
-
-    Returns:
-        Distances in m, shape (cells, n).
+    ``along`` is ``env.reward.distance``: ``straight``, the paper's Euclidean distance; ``way``, the
+    shortest length over the floor, which does not lead into dead ends behind solid walls; ``auto``,
+    the way where walls are solid, the straight distance elsewhere.
     """
     if along == "way" or (along == "auto" and floor.solid):
         return np.asarray(floor.slots_to(destinations) * floor.cell_m)

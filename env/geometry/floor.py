@@ -59,13 +59,7 @@ class Floor:
         return np.asarray((place + 0.5) * self.cell_m)
 
     def cell_at(self, position_m: Floats) -> Ints:
-        """The cell that holds a position.
-
-        Args:
-            position_m: x and y in m, shape (..., 2), inside the room.
-
-        Returns:
-            Cell indices, shape (...).
+        """The cell that holds a position x, y in m, shape (...) of (..., 2).
 
         Raises:
             ValueError: a position lies outside the room.
@@ -102,14 +96,11 @@ class Floor:
         return walled
 
     def slots_to(self, destinations: Ints, most: int = UNREACHABLE) -> Ints:
-        """Fewest slots from every cell to each destination along the moves that robots have.
-
-        Args:
-            destinations: cells, shape (n,).
-            most: slots; with solid walls longer ways are not looked for, which saves time.
+        """Fewest slots from every cell to n destinations along the moves that robots have.
 
         Returns:
-            Slots, shape (cells, n); ``UNREACHABLE`` where solid walls leave no way.
+            Slots, shape (cells, n); ``UNREACHABLE`` where solid walls leave no way. With them ways
+            of more than ``most`` slots are not looked for, which saves time.
         """
         if not self.solid:
             return self.shortest_slots(np.arange(self.cells)[:, None], destinations)

@@ -30,16 +30,10 @@ Point = tuple[int, int]
 
 
 def random_plan(seed: int) -> dict[str, Any]:
-    """A floor that depends on its seed alone: what a plan may set, nested as in a TOML file.
+    """A floor that depends on its seed alone: a value for each of ``floor_plans.KEYS``, nested.
 
     A rectangle is divided into rooms by solid walls, each with a door. ``max_slots`` is at least
     twice the longest way to a destination, which is enough for a way between any two cells.
-
-    Args:
-        seed: of the floor, at least 0.
-
-    Returns:
-        A value for each of ``floor_plans.KEYS``.
     """
     draw, cell_m = stream(seed, Stream.FLOOR), RoomConfig().cell_m
     while True:

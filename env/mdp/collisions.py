@@ -8,7 +8,7 @@ from env.arrays import Bools, Ints
 
 
 def moves_without_collisions(cell: Ints, wanted: Ints, driving: Bools, destinations: Ints) -> Ints:
-    """Where robots are after a slot in which none enters a cell that another one holds.
+    """The cells of robots after a slot in which none enters a cell that another one holds.
 
     Robots move in the order of their index: each sees where those before it are now and where
     those after it still are. Only robots that drive hold cells: one that reaches its destination
@@ -19,9 +19,6 @@ def moves_without_collisions(cell: Ints, wanted: Ints, driving: Bools, destinati
         wanted: the cell that each one's move leads to, shape (B, K); read where driving.
         driving: which robots are driving, shape (B, K).
         destinations: the cell that each robot is going to, shape (K,).
-
-    Returns:
-        Cells after the slot, shape (B, K).
     """
     at, holds = cell.copy(), driving.copy()
     for k in range(cell.shape[1]):

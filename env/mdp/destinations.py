@@ -16,10 +16,6 @@ def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> Ints
     ``tasks.destination`` is ``fixed``: those of ``tasks.destinations_m`` are given; ``random``:
     none are; ``common``: the first one, given or drawn, is everybody's.
 
-    Args:
-        config: the environment.
-        generator: the stream of destinations.
-
     Returns:
         Cells, shape (K,), the drawn ones at least ``tasks.destination_spacing_m`` from all others,
         on the drivable floor, and none a cell of ``tasks.starts_m`` with ``tasks.start=fixed``.

@@ -24,16 +24,9 @@ def late_share(config: EnvConfig, destinations: Ints) -> float:
 def late_shares(config: EnvConfig, destinations: Ints) -> Floats:
     """The share of each robot's starts from which its shortest way takes more than T_max slots.
 
-    Ways go round solid walls; those of other robots are not looked at, so with
+    Of the cells that the robot may start from, so 0 or 1 with ``tasks.start=fixed``; shape (K,), as
+    the destinations. Ways go round solid walls; those of other robots are not looked at, so with
     ``collisions=block`` more may be late.
-
-    Args:
-        config: the environment, checked.
-        destinations: the cell that each robot is going to, shape (K,).
-
-    Returns:
-        Shares of the cells that the robot may start from, 0 or 1 with ``tasks.start=fixed``,
-        shape (K,).
     """
     most = config.motion.max_slots
     return np.array([(slots > most).mean() for slots in _ways(config, destinations, most)])

@@ -82,7 +82,7 @@ class ObservationEncoder:
             way: with ``has_way`` the way of each, shape (..., K, WAY_SIZE).
 
         Returns:
-            States, float32, shape (..., K, local_size - broadcast_size).
+            States, shape (..., K, local_size - broadcast_size).
         """
         position = self._centres[cell]
         state = np.empty((*cell.shape, self._alone_size), dtype=np.float32)
@@ -95,15 +95,14 @@ class ObservationEncoder:
         return state
 
     def way(self, slots_to_go: Ints, slots_then: Ints) -> Floats32:
-        """What a robot knows of its way from its plan of the floor.
+        """What a robot knows of its way from its plan of the floor, shape (..., K, WAY_SIZE).
+
+        For each move the slots that it saves, 1, 0 or -1, and the slots left over half of the
+        floor's rows and columns, at most ``WAY_BOUND``.
 
         Args:
             slots_to_go: fewest slots from where each robot is, shape (..., K).
             slots_then: the same after each of the four moves, shape (..., K, 4).
-
-        Returns:
-            For each move the slots that it saves, 1, 0 or -1, and the slots left over half of the
-            floor's rows and columns, at most ``WAY_BOUND``, float32, shape (..., K, WAY_SIZE).
         """
         way = np.empty((*slots_to_go.shape, WAY_SIZE), dtype=np.float32)
         way[..., :4] = slots_to_go[..., None] - slots_then
@@ -123,7 +122,7 @@ class ObservationEncoder:
             driving: which robots are driving, shape (B, K).
 
         Returns:
-            What is told, float32, shape (B, K, broadcast_size).
+            What is told, shape (B, K, broadcast_size).
         """
         (rows, robots), size = driving.shape, 2 + self.own_size
         told = np.zeros((rows, robots, self.broadcast_size), dtype=np.float32)
@@ -146,7 +145,7 @@ class ObservationEncoder:
         return told
 
     def seen_robots(self, local: Floats32, channel: Complexes, driving: Bools) -> Floats32:
-        """What the AP sees of each robot by itself.
+        """What the AP sees of each robot by itself, zeros where it is not driving.
 
         Args:
             local: the robots' states, shape (..., K, own_size or more).
@@ -154,7 +153,7 @@ class ObservationEncoder:
             driving: which robots are driving, shape (..., K).
 
         Returns:
-            Zeros where a robot is not driving, float32, shape (..., K, own_size + 3).
+            What is seen, shape (..., K, own_size + 3).
         """
         seen = np.empty((*driving.shape, self.own_size + 3), dtype=np.float32)
         seen[..., 0:3] = local[..., 0:3]
@@ -169,16 +168,13 @@ class ObservationEncoder:
     def global_observation(
         self, seen: Floats32, channel: Complexes, driving: Bools, weights: Floats | None = None
     ) -> Floats32:
-        """The AP's state s_G, Eq. (6).
+        """The AP's state s_G, Eq. (6), shape (..., global_size).
 
         Args:
             seen: of each robot, ``seen_robots``.
             channel: hbar_k, shape (..., K).
             driving: which robots are driving, shape (..., K).
             weights: with ``has_weights`` w_k, shape (..., K).
-
-        Returns:
-            State, float32, shape (..., global_size).
         """
         if weights is not None:
             share = shares(weights, driving).astype(np.float32)

@@ -11,14 +11,9 @@ from env.config import EnvConfig, MotionConfig, QoeConfig, RewardConfig
 
 
 def quality_of_experience(rate: Floats, qoe: QoeConfig) -> Floats:
-    """Quality of experience, Baseline 3: eta_k = C_1 lg(R_k) + C_2.
+    """Quality of experience, Baseline 3: eta_k = C_1 lg(R_k) + C_2, of R_k in bit/s/Hz, any shape.
 
-    Args:
-        rate: R_k in bit/s/Hz, any shape.
-        qoe: C_1, C_2 and the floor below which a rate counts as the floor.
-
-    Returns:
-        eta_k, same shape.
+    A rate below ``qoe.floor`` counts as the floor.
     """
     # The floor makes a new array: the logarithm's last bit is the same whatever the layout was.
     return np.asarray(qoe.scale * np.log10(np.maximum(rate, qoe.floor)) + qoe.offset)
@@ -57,12 +52,7 @@ def local_reward(
 def rate_weights(travel_slots: Ints, horizon_slots: float) -> Floats:
     """w_k = (horizon / T_k)^2, a robot's 1 / (T_k E_k) of (5a) over that at the horizon.
 
-    Args:
-        travel_slots: T_k, the slots that a robot will have driven in all, at least 1, any shape.
-        horizon_slots: T_k of a robot with the weight 1.
-
-    Returns:
-        The weights, same shape.
+    T_k, the slots that a robot will have driven in all, is at least 1, of any shape.
     """
     return np.asarray(np.square(horizon_slots / travel_slots))
 
@@ -161,26 +151,13 @@ def shares(weights: Floats, driving: Bools) -> Floats:
 def global_reward(sum_rate: Floats, weights: RewardConfig) -> Floats:
     """The access point's reward: tau_1 sum_k R_k (plus an offset, 0 by default), Eq. (8).
 
-    Args:
-        sum_rate: sum_k R_k in bit/s/Hz, or of eta_k, weighted or not, any shape.
-        weights: tau_1 and the offset.
-
-    Returns:
-        The reward, same shape.
+    The sum is in bit/s/Hz, or of eta_k, weighted or not, of any shape.
     """
     return weights.sum_rate * sum_rate + weights.global_offset
 
 
 def motion_energy_j(travel_s: NDArray[np.floating], motion: MotionConfig) -> Floats:
-    """Energy of driving for T_k seconds: E_1 T_k v + E_2 T_k, Eq. (4).
-
-    Args:
-        travel_s: T_k in s, any shape.
-        motion: E_1, E_2 and v.
-
-    Returns:
-        E_k in J, same shape.
-    """
+    """Energy of driving for T_k seconds: E_k = E_1 T_k v + E_2 T_k in J, Eq. (4), any shape."""
     return np.asarray((motion.energy_per_m_j * motion.speed_mps + motion.idle_power_w) * travel_s)
 
 
@@ -194,7 +171,7 @@ def energy_efficiency(rate_sum: Floats, slots: Ints, slot_s: float, motion: Moti
         motion: E_1, E_2 and v.
 
     Returns:
-        Energy efficiency in bit/s/Hz/J, shape (...).
+        In bit/s/Hz/J, shape (...).
     """
     return np.asarray((rate_sum / slots / motion_energy_j(slots * slot_s, motion)).sum(axis=-1))
 
@@ -202,17 +179,9 @@ def energy_efficiency(rate_sum: Floats, slots: Ints, slot_s: float, motion: Moti
 def bits_per_joule(
     rate_sum: Floats, slots: Ints, slot_s: float, bandwidth_hz: float, motion: MotionConfig
 ) -> Floats:
-    """All bits over all energy of an episode: sum_k sum_t R_k^t B T_slot / sum_k E_k.
+    """All bits over all energy of an episode in bit/J: sum_k sum_t R_k^t B T_slot / sum_k E_k.
 
-    Args:
-        rate_sum: sum over t of R_k^t in bit/s/Hz, shape (..., K).
-        slots: slots that each robot drove, at least 1, shape (..., K).
-        slot_s: T_slot in s.
-        bandwidth_hz: B in Hz.
-        motion: E_1, E_2 and v.
-
-    Returns:
-        Energy efficiency in bit/J, shape (...).
+    Arguments are those of ``energy_efficiency``, and B in Hz.
     """
     bits = rate_sum.sum(axis=-1) * (bandwidth_hz * slot_s)
     return np.asarray(bits / motion_energy_j(slots * slot_s, motion).sum(axis=-1))

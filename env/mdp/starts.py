@@ -41,17 +41,10 @@ def start_cells(config: EnvConfig, floor: Floor, destinations: Ints) -> list[Int
 
 
 def distinct_starts(allowed: list[Ints], count: int, generator: np.random.Generator) -> Ints:
-    """Start cells that no two robots of a world share.
+    """Start cells that no two robots of a world share, shape (count, K).
 
-    Robots draw one after the other, uniformly, and again as long as an earlier one has the cell.
-
-    Args:
-        allowed: the cells that each robot may start from, at least K of them for each of K robots.
-        count: of worlds.
-        generator: the source.
-
-    Returns:
-        Cells, shape (count, K).
+    Robots draw one after the other, uniformly from the cells ``allowed``, at least K for each, and
+    again as long as an earlier one has the cell.
     """
     starts = np.full((count, len(allowed)), -1)
     for k, cells in enumerate(allowed):

@@ -31,7 +31,7 @@ def free_moves(after: Ints, slots: int, others: Sequence[Ints]) -> Bools:
     allows in one order of the robots, is left out.
 
     Args:
-        after: the cell that each move leads to, shape (cells, 4).
+        after: the cell that each move leads to, shape (cells, 4), here and below.
         slots: T, how many slots to look at.
         others: the cells along the paths of the other robots, shape (T_j + 1,) each; a robot that
             has arrived holds no cell.
@@ -49,15 +49,10 @@ def free_moves(after: Ints, slots: int, others: Sequence[Ints]) -> Bools:
 
 
 def ways_to(after: Ints, goal: int, moves: Bools) -> Bools:
-    """From where one first arrives after exactly the slots that are left.
+    """From where one first arrives at a goal after exactly the slots that are left.
 
-    Args:
-        after: the cell that each move leads to, shape (cells, 4).
-        goal: the destination.
-        moves: which moves are free in each slot, shape (T, cells, 4).
-
-    Returns:
-        By slots gone and cell, shape (T + 1, cells).
+    Args as of ``free_moves``, which gives ``moves``. A table of bool by slots gone and cell, shape
+    (T + 1, cells).
     """
     slots = len(moves)
     ways = np.zeros((slots + 1, len(after)), dtype=bool)
@@ -85,11 +80,11 @@ def best_way(
     """The path of T slots that collects most, by backward induction.
 
     Args:
-        after: the cell that each move leads to, shape (cells, 4).
+        after: as of ``free_moves``, which gives ``moves``.
         start: the first cell.
         stage: what a slot in a cell brings, -inf where a path may not be, shape (T, cells).
-        moves: which moves are free, shape (at least T, cells, 4).
-        ways: ``ways_to`` of the destination, shape (T + 1, cells).
+        moves: of at least T slots.
+        ways: ``ways_to`` of the destination.
 
     Returns:
         What the path collects, -inf where there is none, and its directions, ties going to the

@@ -27,17 +27,11 @@ MAX_COMBINATIONS = 200_000
 
 
 def shortest_directions(world: World) -> Ints:
-    """The next move of a shortest way, round solid walls too.
+    """The next move of a shortest way, round solid walls too, shape (B, K).
 
     Of the moves that shorten the way, one along the axis on which the destination is farther, x
-    where both are equal; on that axis, or off it, one towards the destination rather than away.
-
-    Args:
-        world: B worlds; not changed.
-
-    Returns:
-        Indices into ``floor.DIRECTIONS``, shape (B, K) (of no meaning at the destination itself,
-        where there is nothing left to drive).
+    where both are equal; on that axis, or off it, one towards the destination rather than away. At
+    the destination itself, where nothing is left to drive, it has no meaning.
     """
     floor, goal = world.floor, world.destinations
     right = goal % floor.columns - world.cell % floor.columns
@@ -83,15 +77,12 @@ def canonical_levels(gain: Floats, driving: Bools, levels: int) -> Ints:
 
 
 def best_phase(world: World, level: Ints, weights: Floats | None = None) -> Ints:
-    """The phase setting with the largest sum of the metric, given the robots' power picks.
+    """The AP's actions, (B,), with the largest sum of the metric, given the robots' power picks.
 
     Args:
         world: B worlds; not changed.
         level: power levels 1..N_P, shape (B, K), or (B, A, K) where picks depend on the phase.
         weights: of each robot in the sum, broadcast to (B, K); 1 if None.
-
-    Returns:
-        The AP's actions, shape (B,).
     """
     phases, weights = np.arange(world.phase_actions)[None], _weights(world, weights)
     picks = level if level.ndim > 2 else level[:, None]
@@ -103,18 +94,12 @@ def best_phase(world: World, level: Ints, weights: Floats | None = None) -> Ints
 
 
 def best_phase_and_powers(world: World, weights: Floats | None = None) -> tuple[Ints, Ints]:
-    """The phase setting and power levels with the largest sum of the metric.
+    """The AP's actions, (B,), and power levels, (B, K), with the largest sum of the metric.
 
     With ``power.resolve=project`` the search goes over the combinations that the AP may send;
     otherwise picks stand as they are, so it goes over all N_P^n picks of the n driving robots.
-    Under OMA levels have no effect: the phase alone is searched, and all levels are 1.
-
-    Args:
-        world: B worlds; not changed.
-        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
-
-    Returns:
-        The AP's actions, shape (B,), and levels, shape (B, K), 1 for a robot not driving.
+    Under OMA levels have no effect: the phase alone is searched, and all levels are 1. So is that
+    of a robot that is not driving. Weights are as of ``best_phase``.
 
     Raises:
         ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
@@ -124,17 +109,7 @@ def best_phase_and_powers(world: World, weights: Floats | None = None) -> tuple[
 
 
 def best_powers(world: World, phase: Ints, weights: Floats | None = None) -> Ints:
-    """The power levels with the largest sum of the metric, given the phase setting.
-
-    What is searched is as in ``best_phase_and_powers``, for one setting of each world.
-
-    Args:
-        world: B worlds; not changed.
-        phase: the AP's actions, shape (B,).
-        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
-
-    Returns:
-        Levels, shape (B, K), 1 for a robot not driving.
+    """As ``best_phase_and_powers``, the power levels alone, given the AP's actions, shape (B,).
 
     Raises:
         ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
@@ -168,18 +143,7 @@ class BestSlots(NamedTuple):
 
 
 def best_slots(world: World, weights: Floats) -> BestSlots:
-    """As ``best_phase_and_powers``, for several sets of weights in one search.
-
-    Args:
-        world: B worlds; not changed.
-        weights: of each robot in each sum, shape (W, B, K).
-
-    Returns:
-        The best slots under each set.
-
-    Raises:
-        ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
-    """
+    """As ``best_phase_and_powers``, for several sets of weights, (W, B, K), in one search."""
     best, phases = _nothing_found(world, weights), np.arange(world.phase_actions)
     for at, ranked in _searches(world, len(phases)):
         for tried in _parts(phases, max(1, MAX_COMBINATIONS // len(ranked))):

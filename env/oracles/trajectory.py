@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from env.arrays import Bools, Floats, Ints
-from env.mdp.reward import motion_energy_j
 from env.oracles import paths, per_slot
 from env.world import World
 
@@ -49,9 +48,6 @@ def best_trajectory(world: World, start: Ints, slack: int = 4, max_sweeps: int =
         start: the cells that the robots start from, shape (K,).
         slack: extra slots that a robot may take, each number of them being tried.
         max_sweeps: most sweeps over the robots.
-
-    Returns:
-        The plan.
 
     Raises:
         ValueError: channels change in each slot, or a robot has no way that ends in time.
@@ -101,10 +97,8 @@ class _Planner:
     def best(self, cells: list[Ints]) -> per_slot.BestSlots:
         """The oracle of each slot along paths given by their cells, arrays (1, T, ...)."""
         slots = np.array([len(path) - 1 for path in cells])
-        time = np.arange(slots.max(initial=0))[:, None]
-        at = np.minimum(time, slots)
-        cell = np.stack([path[i] for path, i in zip(cells, at.T, strict=True)], axis=-1)
-        return self._oracle(cell, time < slots, self._weights(slots)[None])
+        cell, driving = _places(cells, np.arange(slots.max(initial=0)))
+        return self._oracle(cell, driving, slots[None])
 
     def improve(self, robot: int, value: float) -> float:
         """Takes a robot's best path if it makes the value larger; returns the value."""
@@ -176,16 +170,12 @@ class _Planner:
     def _stages(self, robot: int, used: Bools, horizons: list[int]) -> Floats:
         """What a slot with the robot in a cell is worth, shape (horizons, T, cells), or -inf."""
         time, cell = np.nonzero(used)
-        slots = np.array([len(path) - 1 for path in self.cells])
-        at = np.minimum(time[:, None], slots)
-        cells = np.stack([path[i] for path, i in zip(self.cells, at.T, strict=True)], axis=-1)
-        driving = time[:, None] < slots
+        cells, driving = _places(self.cells, time)
         cells[:, robot], driving[:, robot] = cell, True
-        taken = np.tile(slots, (len(horizons), 1))
-        taken[:, robot] = horizons
-        weights = np.stack([self._weights(each) for each in taken])[:, None]
+        slots = np.tile([len(path) - 1 for path in self.cells], (len(horizons), 1))
+        slots[:, robot] = horizons
         stages = np.full((len(horizons), *used.shape), -np.inf)
-        stages[:, time, cell] = self._oracle(cells, driving, weights).value
+        stages[:, time, cell] = self._oracle(cells, driving, slots).value
         return stages
 
     def _moves(self, robot: int, slots: int) -> Bools:
@@ -205,13 +195,16 @@ class _Planner:
         last = min(soonest + self.slack, self.world.config.motion.max_slots)
         return range(soonest, last + 1)
 
-    def _weights(self, slots: Ints) -> Floats:
-        """1 / (T_k E_k) of robots that drive for so many slots, shape (1, K) of (K,)."""
-        slots = np.maximum(slots, 1)
-        energy_j = motion_energy_j(slots * self.world.slot_s, self.world.config.motion)
-        return np.asarray(1.0 / (slots * energy_j))
-
-    def _oracle(self, cell: Ints, driving: Bools, weights: Floats) -> per_slot.BestSlots:
+    def _oracle(self, cell: Ints, driving: Bools, slots: Ints) -> per_slot.BestSlots:
+        """The oracle of T slots, cells (T, K), for W sets of slots to drive, (W, K)."""
         self.world.cell, self.world.driving = cell, driving
-        weights = np.broadcast_to(weights, (len(weights), *cell.shape))
-        return per_slot.best_slots(self.world, weights)
+        weights = per_slot.objective_weights(self.world, slots)[:, None]
+        return per_slot.best_slots(self.world, np.broadcast_to(weights, (len(slots), *cell.shape)))
+
+
+def _places(cells: list[Ints], time: Ints) -> tuple[Ints, Bools]:
+    """Where robots are after so many slots, (T,), of their paths, and who drives then; (T, K)."""
+    slots = np.array([len(path) - 1 for path in cells])
+    at = np.minimum(time[:, None], slots)
+    cell = np.stack([path[i] for path, i in zip(cells, at.T, strict=True)], axis=-1)
+    return cell, time[:, None] < slots

@@ -56,13 +56,9 @@ class Panel(NamedTuple):
         )
 
     def waves(self, points_m: Floats) -> Complexes:
-        """e^{-jk (path over the element - path over the centre)} of each element.
+        """e^{-jk (path over the element - path over the centre)}, shape (P, M).
 
-        Args:
-            points_m: from the panel's centre to each point, shape (P, 3).
-
-        Returns:
-            Factors of size 1, shape (P, M).
+        Points are offsets from the panel's centre in m, shape (P, 3).
         """
         feed = self.excess(self.ap_m[None], self.offsets_m)
         return path_phase(feed + self.excess(points_m, self.offsets_m), self.wavelength_m)
@@ -75,17 +71,11 @@ def sector_of_cells(floor: Floor, columns: int, rows: int) -> Ints:
 
 
 def focus(waves: Complexes) -> Floats:
-    """Phases that serve all points of a sector, by alternating optimisation.
+    """Phases theta_m in rad, (M,), that serve all points of a sector: alternating optimisation.
 
     Begins with the focus on the middle point. Each round takes the phase that the summed wave has
     at each point as the one to aim for, and then aligns every element with all points' aims: the
-    mean over the points of the summed wave's size never falls.
-
-    Args:
-        waves: each element's wave at the sector's points, shape (P, M).
-
-    Returns:
-        theta_m in rad, shape (M,).
+    mean over the points of the summed wave's size never falls. Waves have shape (P, M).
     """
     theta = np.conj(waves[len(waves) // 2])
     for _ in range(ITERATIONS):
@@ -106,16 +96,13 @@ def quantise(theta: Floats, bits: int) -> Ints:
 
 
 def beams(panel: Panel, points_m: Floats, sector: Ints, bits: int) -> Ints:
-    """The phase index of every element in every beam.
+    """The phase index of every element in every beam, shape (sectors, M).
 
     Args:
         panel: the surface.
         points_m: from the panel's centre to each cell, shape (cells, 3).
         sector: the sector of each cell, shape (cells,); each has one at least.
         bits: b, with N_R = 2^b.
-
-    Returns:
-        Indices into ``propagation.phases``, shape (sectors, M).
     """
     count, elements = int(sector.max()) + 1, len(panel.offsets_m)
     index = np.empty((count, elements), dtype=np.int64)
@@ -128,16 +115,12 @@ def beams(panel: Panel, points_m: Floats, sector: Ints, bits: int) -> Ints:
 
 
 def factors(panel: Panel, points_m: Floats, index: Ints, bits: int) -> Complexes:
-    """The elements' waves summed under each beam; c is |g| |h| times that.
+    """The elements' waves summed under each beam, M at most in size; c is |g| |h| times that.
 
-    Args:
-        panel: the surface.
-        points_m: from the panel's centre to each cell, shape (cells, 3).
-        index: each beam's phase indices, shape (beams, M).
-        bits: b.
+    Arguments are as of ``beams``, which gives ``index``.
 
     Returns:
-        Factors, M at most in size, shape (cells, beams).
+        Factors, shape (cells, beams).
     """
     theta = np.exp(1j * phases(bits))[index].T
     table = np.empty((len(points_m), len(index)), dtype=np.complex128)

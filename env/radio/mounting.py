@@ -6,7 +6,7 @@ edge all links lie on one side, and past a wall's end a link leaves the wall whe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -56,19 +56,17 @@ def inner_walls(floor: Floor) -> Floats:
     return np.asarray(floor.walls[~np.logical_or(*along).any(axis=-1)])
 
 
-def problems(config: EnvConfig) -> list[Problem]:
+def problems(config: EnvConfig) -> Iterator[Problem]:
     """Whether the AP or the RIS is inside a wall, where it would see nothing."""
     walls = inner_walls(Floor.from_config(config))
     devices = [("env.ap.position_m", config.ap.position_m)]
     if config.ris.side:
         devices.append(("env.ris.position_m", config.ris.position_m))
-    found: list[Problem] = []
     for key, position in devices:
         inside = _holding(walls, np.asarray(position[:2], dtype=np.float64))
         if len(inside):
             say = "a place off the walls, at a wall's end or on the room's edge, and not inside"
-            found.append((key, position, f"{say} {inside[0].tolist()} of env.walls.segments"))
-    return found
+            yield key, position, f"{say} {inside[0].tolist()} of env.walls.segments"
 
 
 def _ending_at(walls: Floats, place_m: Floats) -> Bools:

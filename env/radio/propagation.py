@@ -16,15 +16,12 @@ _TINY_M = 1e-9  # keeps directions finite at the panel's centre itself
 
 
 def path_loss_db(distance_m: Floats, frequency_ghz: float, los: Bools | bool) -> Floats:
-    """Path loss of the indoor hotspot, 3GPP TR 38.901 Table 7.4.1-1.
+    """Path loss in dB of the indoor hotspot, 3GPP TR 38.901 Table 7.4.1-1.
 
     Args:
         distance_m: 3-D distance in m, any shape, above 0.
         frequency_ghz: carrier frequency in GHz.
         los: whether the link is in line of sight, broadcast with ``distance_m``.
-
-    Returns:
-        Loss in dB, of the broadcast shape.
     """
     log_d, log_f = np.log10(distance_m), np.log10(frequency_ghz)
     clear = 32.4 + 17.3 * log_d + 20.0 * log_f
@@ -52,17 +49,14 @@ def path_phase(distance_m: Floats, wavelength_m: float) -> Complexes:
 
 
 def small_scale_fading(los: Bools, rician_k_db: float, generator: np.random.Generator) -> Complexes:
-    """Fading of unit mean power: Rician in line of sight, Rayleigh out of it.
+    """Fading of unit mean power, same shape: Rician in line of sight, Rayleigh out of it.
 
     The line-of-sight part has phase zero (``docs/assumptions.md``, C-PHASE).
 
     Args:
-        los: whether each link is in line of sight, any shape.
+        los: whether each link is in line of sight.
         rician_k_db: power of the line-of-sight part over the scattered part, in dB.
         generator: the source of the scattered part.
-
-    Returns:
-        Complex factors, same shape.
     """
     parts = generator.standard_normal((2, *los.shape)) / np.sqrt(2.0)
     scattered = parts[0] + 1j * parts[1]
@@ -124,15 +118,10 @@ def _circular_gaussian(shape: tuple[int, ...], generator: np.random.Generator) -
 
 
 def element_offsets_m(side: int, spacing_m: float, axis: str) -> Floats:
-    """Where the elements of a vertical panel are, seen from its centre.
+    """Where the elements of a vertical panel are, seen from its centre in m, shape (M_R^2, 3).
 
-    Args:
-        side: M_R, elements along each edge.
-        spacing_m: distance of neighbours.
-        axis: the panel's horizontal direction, ``x`` or ``y``.
-
-    Returns:
-        Offsets in m, row by row from the bottom up, shape (M_R^2, 3).
+    Row by row from the bottom up: M_R = ``side`` along each edge, ``spacing_m`` apart, and
+    ``axis``, x or y, being the horizontal one.
     """
     along = (np.arange(side) - (side - 1) / 2.0) * spacing_m
     offsets = np.zeros((side, side, 3))
@@ -145,14 +134,9 @@ Excess = Callable[[Floats, Floats], Floats]
 
 
 def far_excess_m(to: Floats, offsets_m: Floats) -> Floats:
-    """How much longer a point's path is to each element than to the centre: plane waves.
+    """How much longer a point's path is to each element than to the centre, in m: plane waves.
 
-    Args:
-        to: from the panel's centre to each point in m, shape (P, 3).
-        offsets_m: from the centre to each element, shape (M, 3).
-
-    Returns:
-        Differences in m, shape (P, M).
+    Points, (P, 3), and elements, (M, 3), are offsets from the panel's centre in m; shape (P, M).
     """
     distance = np.linalg.norm(to, axis=-1, keepdims=True)
     return np.asarray(-(to / np.maximum(distance, _TINY_M)) @ offsets_m.T)
@@ -212,16 +196,9 @@ def phases(bits: int) -> Floats:
 
 
 def phase_settings(bits: int, subsurfaces: int) -> Complexes:
-    """e^{j theta} of every action of the AP.
+    """e^{j theta} of every action of the AP, shape (N_R^N, N), with N_R = 2^b.
 
     Action ``a``'s base-N_R digits are the N phase indices, the first sub-surface's last.
-
-    Args:
-        bits: b, with N_R = 2^b.
-        subsurfaces: N.
-
-    Returns:
-        Factors, shape (N_R^N, N).
     """
     count = 2**bits
     action = np.arange(count**subsurfaces)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from matplotlib import patheffects
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from env.arrays import Bools, Floats
 from env.config import EnvConfig
 from env.geometry.floor import Floor
 from env.radio.radio_map import RadioMap
+from env.world import World
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,11 +38,6 @@ def best_gain_db(radio_map: RadioMap) -> Floats:
 
 def draw_floor(axes: Axes, config: EnvConfig, radio_map: RadioMap) -> AxesImage:
     """Draws the radio map with walls, AP and RIS; cells that solid walls cut off have no gain.
-
-    Args:
-        axes: where to draw.
-        config: the environment.
-        radio_map: its tables.
 
     Returns:
         The image of the map, for a colour bar.
@@ -90,10 +89,7 @@ def _label(axes: Axes, position: list[float], text: str, offset: tuple[int, int]
 def draw_ways(axes: Axes, ways_m: Floats, destinations_m: Floats) -> None:
     """Draws where robots drove: a dot at the start, a star at the destination.
 
-    Args:
-        axes: where to draw.
-        ways_m: positions in m, shape (slots + 1, K, 2).
-        destinations_m: shape (K, 2).
+    Ways are positions in m, shape (slots + 1, K, 2), destinations (K, 2).
     """
     for robot, goal in enumerate(destinations_m):
         way = ways_m[:, robot]
@@ -122,17 +118,9 @@ def trajectory_figure(
     destinations_m: Floats,
     titles: list[str],
 ) -> Figure:
-    """Episodes beside each other, each over the radio map.
+    """Episodes beside each other, each over the radio map and under its title.
 
-    Args:
-        config: the environment.
-        radio_map: its tables.
-        ways_m: positions in m, shape (slots + 1, episodes, K, 2).
-        destinations_m: shape (K, 2).
-        titles: one an episode.
-
-    Returns:
-        The figure.
+    Ways are positions in m, shape (slots + 1, episodes, K, 2), destinations (K, 2).
     """
     count = len(titles)
     room = config.room
@@ -155,8 +143,38 @@ def trajectory_figure(
     return figure
 
 
-def _handle(marker: str, label: str):  # type: ignore[no-untyped-def]  # a Line2D, untyped there
-    from matplotlib.lines import Line2D
-
+def _handle(marker: str, label: str) -> Line2D:
     colour = {"^": "#00b894", "s": "#00cec9"}.get(marker, "#bbbbbb")
     return Line2D([], [], marker=marker, color=colour, mec="black", linestyle="", label=label)
+
+
+class Picture:
+    """The floor, drawn once; each frame adds the ways to a copy of its pixels.
+
+    Args:
+        world: whose floor it is.
+    """
+
+    def __init__(self, world: World) -> None:
+        figure = Figure(figsize=(4.8, 4.8), dpi=100, layout="constrained")
+        self._canvas = cast(Any, FigureCanvasAgg(figure))
+        self._axes = figure.subplots()
+        draw_floor(self._axes, world.config, world.radio_map)
+        self._axes.set_title(" ", fontsize=10)
+        self._canvas.draw()
+        self._floor = self._canvas.copy_from_bbox(figure.bbox)
+
+    def frame(self, ways_m: Floats, goals_m: Floats, title: str) -> NDArray[np.uint8]:
+        """The pixels with the ways so far, shape (480, 480, 3)."""
+        axes, still = self._axes, len(self._axes.lines)
+        self._canvas.restore_region(self._floor)
+        draw_ways(axes, ways_m, goals_m)
+        for robot, place in enumerate(ways_m[-1]):
+            colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+            axes.plot(*place, "o", color=colour, mec="black", markersize=10, zorder=5)
+        axes.title.set_text(title)
+        axes.draw_artist(axes.title)
+        for line in sorted(axes.lines[still:], key=lambda line: line.get_zorder()):
+            axes.draw_artist(line)
+            line.remove()
+        return np.array(self._canvas.buffer_rgba())[..., :3].copy()

@@ -9,9 +9,8 @@ from agent import single_threaded
 from client_app.rooms import HostedRoom
 from conf import Config, ConfigError
 from training.evaluation import Evaluator
-from training.known_rooms import known_rooms
 from training.recording.history import MEASURES, mean
-from training.rooms import Weights
+from training.rooms import Weights, known_rooms
 from training.run_folder import RunFolder
 
 Measures = dict[str, float]

@@ -14,8 +14,8 @@ from env.scenario import Scenario
 from experiments.console.display import SILENT_S, describe, silent_s
 from experiments.viewer.replays import Panel
 from experiments.viewer.scene import scene
-from training.known_rooms import known_rooms
 from training.recording.csv_log import read_columns
+from training.rooms import known_rooms
 from training.run_folder import RunFolder
 
 POINTS = 400

@@ -23,9 +23,9 @@ from storage.checkpoint_files import CheckpointError, checkpoints, digest
 from storage.checkpoint_layout import room_folder, server_folder
 from training.building import BuildingRun
 from training.checkpoint import latest
-from training.known_rooms import known_rooms
 from training.recording.history import EVALUATIONS, MEASURES
 from training.room_recording import ROOM_METRICS, ROOMS
+from training.rooms import known_rooms
 from training.run_folder import RunFolder
 
 Building = Callable[..., Config]

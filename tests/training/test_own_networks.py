@@ -12,8 +12,8 @@ from exchange_helpers import in_process, over_sockets
 
 from conf import Config, robot_network
 from experiments.cli import main
-from training import session
 from training.exchange.own_parts import shared_numbers
+from training.recording import summary as accounts
 from training.run_folder import RunFolder
 
 BLOCKS = [(0, 2), (1,)]
@@ -59,7 +59,7 @@ def test_a_run_that_died_ends_in_the_same_bits_and_can_be_played(
     whole, died = tmp_path / "whole", tmp_path / "died"
     given = ["train", *tiny_overrides, *RESUMED[kind], "train.max_ticks=70", "state.every=3"]
     assert main([*given, f"run.dir={whole}"]) == 0
-    save = session.save_server  # type: ignore[attr-defined]
+    save = accounts.save_server  # type: ignore[attr-defined]
 
     def fatal(writer: Any, state: Path, window: int, *rest: Any) -> None:
         if window == 6:
@@ -67,7 +67,7 @@ def test_a_run_that_died_ends_in_the_same_bits_and_can_be_played(
         save(writer, state, window, *rest)
 
     with monkeypatch.context() as patch:
-        patch.setattr(session, "save_server", fatal)
+        patch.setattr(accounts, "save_server", fatal)
         assert main([*given, f"run.dir={died}"]) == 1
     assert main(["train", f"resume={died}"]) == 0
     one, again = (

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from conf import Config, ConfigError, LossesConfig, compose
 from experiments.cli import main
-from training import session
 from training.exchange.facts import WindowFacts
 from training.exchange.federation import build_federation
 from training.exchange.reception import Reception
+from training.recording import summary as accounts
 
 K, P = 4, 5
 FACTS = WindowFacts(np.array([-60.0, -90.0, -70.0, -100.0]), np.zeros((K, 4), np.int64))
@@ -127,7 +127,7 @@ def test_a_run_with_late_uploads_and_a_stale_robot_goes_on_to_the_same_bits(
     )
     given = ["train", *tiny_overrides, *changes]
     assert main([*given, f"run.dir={tmp_path / 'whole'}"]) == 0
-    save, pending = session.save_server, {}  # type: ignore[attr-defined]
+    save, pending = accounts.save_server, {}  # type: ignore[attr-defined]
 
     def fatal(writer, state, at, arrays, meta):
         if at == 9:
@@ -136,7 +136,7 @@ def test_a_run_with_late_uploads_and_a_stale_robot_goes_on_to_the_same_bits(
         save(writer, state, at, arrays, meta)
 
     with monkeypatch.context() as patch:
-        patch.setattr(session, "save_server", fatal)
+        patch.setattr(accounts, "save_server", fatal)
         assert main([*given, f"run.dir={tmp_path / 'died'}"]) == 1
     assert pending[6]
     assert main(["train", f"resume={tmp_path / 'died'}"]) == 0

@@ -22,7 +22,8 @@ from conf.user_paths import resumed_folder
 from experiments.cli import main
 from storage.checkpoint_files import checkpoints
 from storage.checkpoint_layout import robot_windows, server_folder
-from training import checkpoint, resume, session
+from training import checkpoint, resume
+from training.recording import summary as accounts
 
 FALLING = ("agent.learning_rate_end=0.001", "agent.learning_rate_updates=60")
 EVERY_OPTION = (*FALLING, "agent.updates=2", "agent.double=true")
@@ -80,14 +81,14 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     """Lets a run fail before the server writes its checkpoint of a window."""
-    save = session.save_server  # type: ignore[attr-defined]
+    save = accounts.save_server  # type: ignore[attr-defined]
 
     def fatal(writer, state, at, *rest):
         if at == window:
             raise OSError("the machine is gone")
         save(writer, state, at, *rest)
 
-    monkeypatch.setattr(session, "save_server", fatal)
+    monkeypatch.setattr(accounts, "save_server", fatal)
 
 
 @pytest.mark.parametrize(
@@ -226,9 +227,9 @@ def test_robots_a_write_ahead_of_the_server_leave_a_checkpoint_that_all_have(
         if window == 3:
             save(writer, state, window, *rest)
 
-    save = session.save_server  # type: ignore[attr-defined]
+    save = accounts.save_server  # type: ignore[attr-defined]
     with monkeypatch.context() as patch:
-        patch.setattr(session, "save_server", stalled)
+        patch.setattr(accounts, "save_server", stalled)
         given = ["train", *tiny_overrides, *CHANGES, f"run.dir={folder}"]
         assert main(given) == 1
     assert sorted(robot_windows(folder / "state", 0)) == [3, 6, 9]

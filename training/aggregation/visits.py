@@ -34,11 +34,9 @@ class VisitMean:
         """What a number counts by: 0 is all transitions, 1 + a is action a."""
 
     def mean(self, uploads: Weights, actions: NDArray[np.int64]) -> Weights:
-        """The network that all robots take, shape (2, P).
+        """The network that all robots take, shape (2, P), from uploads of shape (H, 2, P).
 
-        Args:
-            uploads: shape (H, 2, P).
-            actions: how often each of these robots took each action, shape (H, actions).
+        ``actions`` is how often each of these robots took each action, shape (H, actions).
         """
         counts = np.column_stack([actions.sum(axis=1), actions]).astype(np.float64)
         counts[:, counts.sum(axis=0) == 0] = 1.0

@@ -1,8 +1,8 @@
-"""The access point's side: who steers the RIS, and what a coordinator asks of them."""
+"""Who steers the RIS with a network of its own: the access point, in the first place."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,43 +13,7 @@ from agent import DQN, BranchingDQN, epsilon_at
 from conf import Config, ap_network
 from env.seeding import Stream, stream
 from env.world import StepResult
-from training.controllers.service import Service
-
-States = NDArray[np.float32]
-"""Observations of B worlds, shape (B, global_size)."""
-
-Actions = NDArray[np.int64]
-
-
-class RisController(ABC):
-    """Who sets the RIS's phases: a DQN, a rule, or one agent that decides for the robots, too.
-
-    Attributes:
-        serve: what is set once the robots' power picks are known.
-    """
-
-    def __init__(self, config: Config) -> None:
-        self._config, self.serve = config, Service(config)
-
-    @abstractmethod
-    def act(self, state: States, tick: int) -> NDArray[np.integer[Any]]:
-        """Chooses actions, shape (B,): phase settings, or such with a combination of powers."""
-
-    @abstractmethod
-    def learn(self, state: States, action: Actions, outcome: StepResult, seen: States) -> None:
-        """Learns from the outcome of ``act``'s actions and what is seen then, B rows each."""
-
-    @abstractmethod
-    def weights(self) -> NDArray[np.float32]:
-        """Online and target weights, float32, shape (2, P)."""
-
-    @abstractmethod
-    def state(self) -> dict[str, NDArray[Any]]:
-        """All that the agent needs to go on from a window boundary, as copies."""
-
-    @abstractmethod
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes back what ``state`` gave."""
+from training.controllers.service import Actions, RisController, States
 
 
 class NetworkAgent(RisController):

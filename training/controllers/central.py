@@ -17,7 +17,8 @@ from agent import DQN, NO_ACTION, BranchingDQN, epsilon_at
 from conf import Config, central_heads, robot_actions
 from env.world import StepResult
 from lockstep import Expect, Flag
-from training.controllers.access_point import Actions, NetworkAgent, States
+from training.controllers.access_point import NetworkAgent
+from training.controllers.service import Actions, States
 
 DRIVING = np.uint16(Flag.DRIVING)
 _Value = TypeVar("_Value", bound=np.generic)

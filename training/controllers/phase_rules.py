@@ -14,7 +14,7 @@ from env.oracles import per_slot
 from env.seeding import Stream, stream
 from env.world import StepResult, World
 from storage.generators import generator_state, restore_generator
-from training.controllers.access_point import Actions, RisController, States
+from training.controllers.service import Actions, RisController, States
 
 PLACEMENTS = 2000
 """Random placements of the robots over which the best fixed phase is the best on average."""

@@ -13,9 +13,8 @@ from conf import Config, ap_network, central_heads, robot_actions, robot_network
 from env.oracles import per_slot
 from env.seeding import Stream, stream
 from env.world import World
-from training.controllers.access_point import Actions
 from training.controllers.phase_rules import phase_of
-from training.controllers.service import Service
+from training.controllers.service import Actions, Service
 
 
 class PolicyWeights(NamedTuple):

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from conf import Config
 from env.world import World
-from training.controllers.access_point import AccessPoint, RisController
+from training.controllers.access_point import AccessPoint
 from training.controllers.central import BranchingAgent, CentralAgent, JointAgent
 from training.controllers.phase_rules import PhaseRule
+from training.controllers.service import RisController
 
 
 def build_ris_controller(config: Config, world: World) -> RisController:

@@ -16,6 +16,7 @@ robots would keep them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,9 +34,10 @@ Weights = NDArray[np.float32]
 State = Mapping[str, NDArray[Any]]
 
 
-class OwnParts:
+class OwnParts(ABC):
     """Splits networks into what is shared and what is a robot's own; keeps nothing by default."""
 
+    @abstractmethod
     def shared(self, rows: Weights, robots: NDArray[np.intp]) -> Weights:
         """What is combined of robots' networks.
 
@@ -46,8 +48,8 @@ class OwnParts:
         Returns:
             Shape (n, 2, P') with P' at most P.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def merged(self, rows: Weights, combined: Weights) -> Weights:
         """All robots' networks with what was combined in them, shape (K, 2, P).
 
@@ -55,26 +57,20 @@ class OwnParts:
             rows: what they had, shape (K, 2, P).
             combined: shape (2, P').
         """
-        raise NotImplementedError
 
-    def observed(self, updates: np.ndarray) -> None:
+    def observed(self, updates: np.ndarray) -> None:  # noqa: B027 - most look at weights alone
         """Takes notice of the records of a step, shape (K E,)."""
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What it keeps between windows."""
         return {}
 
-    def restore(self, state: State) -> None:
+    def restore(self, state: State) -> None:  # noqa: B027 - as above
         """Takes back what ``state`` gave."""
 
 
 class OwnLayers(OwnParts):
-    """Layers that are not combined.
-
-    Args:
-        shape: of the robots' networks.
-        own: ``heads``, ``trunk`` or ``input``.
-    """
+    """Layers that are not combined: ``heads``, ``trunk`` or ``input``."""
 
     def __init__(self, shape: NetworkShape, own: str) -> None:
         self._shared = shared_numbers(shape, own)

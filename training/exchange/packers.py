@@ -40,12 +40,9 @@ class Packer(Protocol):
 
 
 def build_packer(kind: str, keep: float, blocks: Sequence[int]) -> Packer:
-    """Makes a packer.
+    """Makes the packer of a kind, as ``federation.compression`` has it, for blocks of numbers.
 
-    Args:
-        kind: ``none``, ``q8``, ``q4``, ``q1`` or ``topk``, as ``federation.compression`` has it.
-        keep: share of the numbers that ``topk`` sends.
-        blocks: how many numbers each block has.
+    ``keep`` is the share of the numbers that ``topk`` sends.
     """
     if kind == "none":
         return Floats(sum(blocks))
@@ -70,12 +67,7 @@ class Floats:
 
 
 class Scaled:
-    """A float32 scale for each block of numbers, and then a few bits for each number.
-
-    Args:
-        blocks: how many numbers each block has.
-        bits: for each number.
-    """
+    """A float32 scale for each block of numbers, and then a few bits for each number."""
 
     def __init__(self, blocks: Sequence[int], bits: int) -> None:
         self._blocks = np.array(blocks, np.int64)
@@ -88,11 +80,7 @@ class Scaled:
         return np.concatenate([np.ascontiguousarray(scales, "<f4").view(np.uint8), body])
 
     def _parted(self, packed: Bytes) -> tuple[Weights, Bytes]:
-        """The scale of each number, shape (n,), and what comes after the head.
-
-        Raises:
-            ValueError: a scale is none.
-        """
+        """The scale of each number, shape (n,), checked, and what comes after the head."""
         scales = _numbers(packed[: self._head], "<f4").astype(np.float32)
         if len(wrong := scales[~(np.isfinite(scales) & (scales >= 0))]):
             raise ValueError(f"a scale is {wrong[0]:g}, which is no finite number from 0 up")
@@ -152,11 +140,7 @@ class Signs(Scaled):
 class TopK:
     """The numbers of largest magnitude with their places; all others are 0 (Stich et al., 2018).
 
-    Of equal magnitudes the first is sent (arXiv:1809.07599).
-
-    Args:
-        numbers: n.
-        keep: the share of them that is sent, of which at least one is.
+    Of equal magnitudes the first is sent (arXiv:1809.07599). At least one is.
     """
 
     def __init__(self, numbers: int, keep: float) -> None:

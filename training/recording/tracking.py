@@ -23,11 +23,7 @@ log = logging.getLogger(__name__)
 
 
 class Trackers:
-    """Trackers of a run. One that fails is given up with a warning, and the others go on.
-
-    Args:
-        trackers: in the order in which they are told.
-    """
+    """Trackers of a run, told in order. One that fails is given up with a warning."""
 
     def __init__(self, trackers: Sequence[Tracker]) -> None:
         self._open = list(trackers)
@@ -69,7 +65,8 @@ class Trackers:
                 call(tracker)
             except Exception as error:
                 self._open.remove(tracker)
-                _warn(tracker, error)
+                why = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+                log.warning("no events for %s from here on: %s", tracker.name, why)
                 if not last:
                     with suppress(Exception):  # the first failure has been told
                         tracker.finish(None)
@@ -82,8 +79,3 @@ def problems(run: RunConfig) -> list[Problem]:
         for key, names in DISTRIBUTIONS.items()
         if getattr(run, key) and all(version(name) == "unknown" for name in names)
     ]
-
-
-def _warn(tracker: Tracker, error: Exception) -> None:
-    why = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-    log.warning("no events for %s from here on: %s", tracker.name, why)

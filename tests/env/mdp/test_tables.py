@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from env import observation_tables
+from env import scenario as scenarios
 from env.checks import checked_config
 from env.mdp.destinations import draw_destinations
 from env.radio import radio_map
@@ -75,7 +75,7 @@ def test_an_episode_is_the_same_without_tables(changes, monkeypatch):
     config = configured(changes)
     looked_up = played(config)
     monkeypatch.setattr(radio_map, "MAX_TABLE", 0)
-    monkeypatch.setattr(observation_tables, "MAX_SEEN", 0)
+    monkeypatch.setattr(scenarios, "MAX_SEEN", 0)
     for found, computed in zip(looked_up, played(config), strict=True):
         assert found.dtype == computed.dtype
         np.testing.assert_array_equal(found, computed)
