@@ -1,13 +1,12 @@
 """Weights in fewer bytes: what packing loses, what becomes of it, and hostile bytes."""
 
-import json
-
 import numpy as np
 import pytest
 from exchange_helpers import in_process, over_sockets
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from resume_helpers import check_goes_on
 
 from client_app.rooms import HostedRoom
 from conf import ConfigError, compose, robot_network
@@ -177,20 +176,10 @@ def test_copied_targets_are_the_averaged_online_networks(tiny):
 def test_a_packed_run_goes_on_to_the_same_bits(tiny_overrides, tmp_path, changes):
     options = [f"{COMPRESSION}.{each}" for each in changes]
     options += ["federation.hear=2", "state.every=3", "evaluation.every=2"]
-    for name, ticks in (("whole", 120), ("short", 60)):
-        given = [
-            *tiny_overrides,
-            *options,
-            f"train.max_ticks={ticks}",
-            f"run.dir={tmp_path / name}",
-        ]
-        assert main(["train", *given]) == 0
-    assert main(["train", f"resume={tmp_path / 'short'}", "train.max_ticks=120"]) == 0
-    whole, short = (
-        json.loads((tmp_path / name / "summary.json").read_text()) for name in ("whole", "short")
-    )
-    assert short["digest"] == whole["digest"]
-    assert short["airtime"] == whole["airtime"]
+    whole = tmp_path / "whole"
+    given = [*tiny_overrides, *options, "train.max_ticks=120", f"run.dir={whole}"]
+    assert main(["train", *given]) == 0
+    check_goes_on(whole, 6, "airtime")
 
 
 # --- The server -----------------------------------------------------------------------------------

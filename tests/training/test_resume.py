@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import fcntl
-import json
 import os
 import shlex
 import shutil
@@ -17,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from resume_helpers import check_goes_on, check_same, rewound, summary
 
 from conf.user_paths import resumed_folder
 from experiments.cli import main
@@ -69,27 +68,6 @@ def train(tiny_overrides: list[str], tmp_path: Path, run_of_120_ticks: Path) -> 
     return run
 
 
-def summary(folder: Path) -> dict:
-    return json.loads((folder / "summary.json").read_text())
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    """A CSV file's rows without the clocks."""
-    with path.open() as file:
-        return [{k: v for k, v in row.items() if k != "cpu_s"} for row in csv.DictReader(file)]
-
-
-def rewound(whole: Path, folder: Path, window: int = 6) -> Path:
-    """A copy of a run as if it had died soon after its checkpoint of a window."""
-    shutil.copytree(whole, folder)
-    for path in (folder / "state").rglob("checkpoint-*.safetensors"):
-        if int(path.stem.removeprefix("checkpoint-")) > window:
-            path.unlink()
-    for name in ("summary.json", "weights.safetensors"):
-        (folder / name).unlink()
-    return folder
-
-
 def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     """Lets a run fail before the server writes its checkpoint of a window."""
     save = accounts.save_server  # type: ignore[attr-defined]
@@ -112,15 +90,6 @@ def test_a_run_that_died_ends_in_the_same_bits(
     assert checkpoints(server_folder(folder / "state")) == [3, 6]
     assert main(["train", f"resume={folder}"]) == 0
     check_same(folder, whole)
-
-
-def check_same(folder: Path, whole: Path) -> None:
-    """Checks that two runs came to the same weights, records and results."""
-    assert summary(folder)["digest"] == summary(whole)["digest"]
-    for name in ("metrics.csv", "evaluations.csv"):
-        assert rows(folder / name) == rows(whole / name)
-    for key in ("ticks", "windows", "episodes", "evaluation"):
-        assert summary(folder)[key] == summary(whole)[key]
 
 
 def test_a_run_that_has_ended_can_be_made_longer(train) -> None:
@@ -246,7 +215,7 @@ def test_files_that_lack_rows_are_refused_before_anything_is_written(train, caps
 
 def test_files_that_an_editor_saved_in_its_own_way_go_on_to_the_same_bits(train, tmp_path) -> None:
     whole = train("whole")
-    folder = rewound(whole, tmp_path / "edited")
+    folder = rewound(whole, tmp_path / "edited", 6)
     for name in ("config.yaml", "metrics.csv", "evaluations.csv"):
         text = (folder / name).read_text(encoding="utf-8")
         (folder / name).write_text(text, encoding="utf-8-sig", newline="\r\n")
@@ -302,13 +271,8 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         ["baseline=branching", "train.worlds=2", "env.channel.fading=slot"],
     ],
 )
-def test_other_worlds_strategies_and_schemes_are_resumed_to_the_same_bits(
-    train, tmp_path, changes
-) -> None:
-    whole = train("whole", *changes)
-    folder = rewound(whole, tmp_path / "died")
-    assert main(["train", f"resume={folder}"]) == 0
-    check_same(folder, whole)
+def test_other_worlds_strategies_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:
+    check_goes_on(train("whole", *changes), 6)
 
 
 def test_a_full_disk_ends_a_run_with_a_sentence(tiny_overrides, tmp_path, monkeypatch, capsys):
