@@ -142,13 +142,13 @@ PACKED = (
 )
 
 
-def packed_run(tiny, changes):
+def packed_run(tiny, changes, ticks=50):
     named = {f"{COMPRESSION}.{key}": value for key, value in changes.items()}
-    return tiny({"train.max_ticks": 100, **named})
+    return tiny({"train.max_ticks": ticks, **named})
 
 
 def test_sockets_and_groups_change_no_bit_of_a_packed_run(tiny):
-    ends = {digest(in_process(tiny({"train.max_ticks": 100})))}
+    ends = {digest(in_process(packed_run(tiny, {})))}
     for changes in PACKED:
         config = packed_run(tiny, changes)
         blocks = [(0,), (2, 1)]
@@ -160,9 +160,9 @@ def test_sockets_and_groups_change_no_bit_of_a_packed_run(tiny):
 
 
 def test_copied_targets_are_the_averaged_online_networks(tiny):
-    end = in_process(packed_run(tiny, Q1))
+    end = in_process(packed_run(tiny, Q1, 100))
     np.testing.assert_array_equal(end[:, 0], end[:, 1])
-    plain = in_process(tiny({"train.max_ticks": 100}))
+    plain = in_process(packed_run(tiny, {}, 100))
     assert (plain[:, 0] != plain[:, 1]).any()
 
 

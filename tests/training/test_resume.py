@@ -247,7 +247,7 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        ["env.channel.fading=slot"],
+        slow(["env.channel.fading=slot"]),
         ["strategy=none"],
         ["strategy=fedprox", "strategy.proximal_mu=0.1"],
         ["env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]"],
@@ -260,7 +260,7 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         ["baseline=oracle_phase", "env.channel.fading=slot"],
         slow(["strategy=fedmedian"]),
         ["strategy=fedadam", *EVERY_OPTION],
-        ["strategy=fedavgm"],
+        slow(["strategy=fedavgm"]),
         slow(["strategy=fedadam", "env.channel.fading=slot"]),
         ["baseline=centralized", "env.robots=2", *EVERY_OPTION],
         slow(["baseline=branching", "agent.updates=2", *FALLING]),
