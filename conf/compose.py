@@ -113,11 +113,12 @@ def _composed_on(plan: str, overrides: list[str]) -> DictConfig:
 
 
 def _checked(node: DictConfig, *, typed: bool = True) -> Config:
-    """A node as a checked configuration; values that are not typed are put on the schema."""
+    """A node as a checked configuration; stored values, not typed, are put on the schema."""
     try:
         values: Any = node
         if not typed:
             values = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+            drop_removed(values)
             values = OmegaConf.merge(schema_node(), values)
         config = OmegaConf.to_object(values)
     except OmegaConfBaseException as error:
@@ -186,5 +187,4 @@ def from_yaml(text: str) -> Config:
         raise ConfigError(f"the configuration is no YAML: {first_sentence(error)}.") from error
     if not isinstance(node, DictConfig):
         raise ConfigError("the configuration is no mapping of keys to values.")
-    drop_removed(node)
     return _checked(node, typed=False)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from lockstep.errors import Disconnected, FrameError, LinkTimeout, Refused, ServerLost, described
 from lockstep.frame_stream import FrameStream, prepare
 from lockstep.frames import decode, encode
-from lockstep.interface import Robots, answer
+from lockstep.interface import Robots
 from lockstep.messages import (
     PLAIN,
     VERSION,
@@ -24,13 +24,16 @@ from lockstep.messages import (
     Hello,
     Layout,
     Message,
+    Payload,
     Rejection,
     Restore,
     Step,
     Weights,
     Welcome,
+    checked_actions,
     checked_download,
     checked_model,
+    checked_upload,
 )
 from lockstep.wire_format import TEXT_SIZE, model_size, step_size
 
@@ -150,14 +153,14 @@ class _Line:
                 rows, due = len(message.updates), self._robots * self._layout.worlds
                 if rows != due:
                     raise FrameError(f"a step of {rows} records, not {due}")
-                given = answer(self._handler, message, self._robots, self._parameters, self._layout)
-                if given is None:
+                actions = self._handler.step(message)
+                if message.expect is Expect.END_ROUND:
                     return
                 if message.expect is Expect.ACTIONS:
-                    self._send(Actions(message.tick, given))
+                    self._send(Actions(message.tick, checked_actions(actions, rows)))
                 else:
                     uploaded = message.window
-                    self._send(Weights(uploaded, given))
+                    self._send(Weights(uploaded, self._uploaded()))
             elif isinstance(message, Abort):
                 self._send(Ack(message.number, tuple(self._handler.windows())))
             elif isinstance(message, Restore):
@@ -170,6 +173,10 @@ class _Line:
                 raise ServerLost(f"the server has stopped: {message.reason}")
             else:
                 raise FrameError(f"{type(message).__name__} out of turn")
+
+    def _uploaded(self) -> Payload:
+        weights = self._handler.upload()
+        return checked_upload(weights, self._robots, self._parameters, self._layout)
 
     def _recv(self) -> Message:
         """The server's next message; its arrays are the caller's to keep."""

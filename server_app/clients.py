@@ -29,14 +29,9 @@ TEND_S = 1.0
 
 
 class Clients:
-    """All clients of a run.
+    """All clients of a run, one on each node; robots are dealt to them in blocks.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir``.
-        grid: Flower's grid.
-        link: the listening end of the link.
-        nodes: the identity of each client's node; robots are dealt to them in blocks.
-        certificate: of the link, PEM; empty without TLS.
+    The link's certificate is PEM, empty without TLS.
 
     Attributes:
         places: the node of each block.

@@ -28,13 +28,7 @@ from training.run_folder import RunFolder
 
 
 class BuildingRun:
-    """One training run of a building.
-
-    Args:
-        config: the run's configuration.
-        folder: the run's folder.
-        resumed: where the run goes on, if it does not begin.
-    """
+    """One training run of a building; ``resumed`` is where it goes on, if it does not begin."""
 
     def __init__(
         self, config: Config, folder: RunFolder, resumed: Checkpoint | None = None
@@ -71,11 +65,7 @@ class BuildingRun:
     def train(self, host: RoomHost) -> dict[str, Any]:
         """Trains until the end of the round after the last tick, or as many episodes a room.
 
-        Args:
-            host: where the rooms live.
-
-        Returns:
-            What ``summary.json`` holds.
+        Takes where the rooms live; returns what ``summary.json`` holds.
         """
         recorder, writer = self.recorder, self._accounts.writer
         self._accounts.added = host.costs

@@ -102,11 +102,7 @@ def latest(state: Path, robots: int, run: str | None = None, *, rooms: bool = Fa
 
 
 def _check_rooms(state: Path, played: NDArray[Any], run: str | None) -> None:
-    """Reads the checkpoint of the round that each room has last played.
-
-    Raises:
-        CheckpointError: one is missing or damaged.
-    """
+    """Reads the checkpoint of the round that each room has last played."""
     for index, number in enumerate(played.tolist()):
         if number:
             name = room_name(index)

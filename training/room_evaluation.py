@@ -28,10 +28,6 @@ class RoomScore:
 class RoomsEvaluator:
     """Evaluators of some of a building's rooms, made when they are first played in.
 
-    Args:
-        config: the building's configuration.
-        rooms: the building's rooms.
-
     Attributes:
         rooms: those that are played in while training: at most ``rooms.evaluated`` of each kind,
             evenly over all.

@@ -59,13 +59,7 @@ class BuildingRecorder(Recorder):
     def on_reports(
         self, progress: Progress, reports: Mapping[int, RoomReport], missing: Sequence[int]
     ) -> None:
-        """Writes what the episodes of a round came to.
-
-        Args:
-            progress: where the building is.
-            reports: of the rooms that took part, by index.
-            missing: those that could not be reached.
-        """
+        """Writes what the episodes of a round came to, and which rooms could not be reached."""
         self._took_part, self._missing = sorted(reports), missing
         for index in self._took_part:
             for values in reports[index].episodes:

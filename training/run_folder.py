@@ -42,11 +42,7 @@ _NOTHING_YET: dict[str, Any] = {
 
 
 class RunFolder:
-    """A run's folder, there or not; no other module knows the name of a file in it.
-
-    Args:
-        path: where it is.
-    """
+    """A run's folder, there or not; no other module knows the name of a file in it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -120,11 +116,7 @@ class RunFolder:
         return [self.tensorboard, self.wandb, self.mlflow]
 
     def clear(self, *, whole: bool = False) -> None:
-        """Removes what a run that goes on says anew.
-
-        Args:
-            whole: also what it had recorded, since it begins again.
-        """
+        """Removes what a run that goes on says anew; the ``whole`` of it where one begins again."""
         stale = [self.progress_file, self.summary_file, self.episode_file]
         for path in stale + (self._records if whole else []):
             path.unlink(missing_ok=True)
@@ -168,19 +160,12 @@ class RunFolder:
         write_atomically(self.summary_file, to_json(summary))
 
     def read_weights(self, config: Config) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The online weights that the run has written: robots (K, P) and access point (P_AP,).
-
-        Raises:
-            ConfigError: see ``read_networks``.
-        """
+        """The online ones of ``read_networks``: robots (K, P) and access point (P_AP,)."""
         robots, ap = self.read_networks(config)
         return robots[:, 0], ap[0]
 
     def read_networks(self, config: Config) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """All weights that the run has written, online then target.
-
-        Returns:
-            Those of the robots, shape (K, 2, P), and of the access point, shape (2, P_AP).
+        """All weights that the run has written, online then target: (K, 2, P) and (2, P_AP).
 
         Raises:
             ConfigError: they are missing, damaged or of another size than the configuration's.
@@ -204,13 +189,7 @@ class RunFolder:
     def write_weights(
         self, robots: NDArray[np.float32], ap: NDArray[np.float32], config: Config
     ) -> None:
-        """Writes the final weights, online then target, and what they are.
-
-        Args:
-            robots: shape (K, 2, P).
-            ap: shape (2, P_AP).
-            config: the run's.
-        """
+        """Writes the final weights as ``read_networks`` gives them, and what they are."""
         arrays = {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}
         content = with_metadata(save(arrays), describe(config, robots, ap))
         write_whole(self.weights_file, content)

@@ -43,14 +43,7 @@ def log_lines(
 ) -> Iterator[RunLog]:
     """Lets our packages log to standard error from the level INFO on, while this lasts.
 
-    Args:
-        run: the run's identity.
-        round_number: the Flower round.
-        robots: the robots, or rooms, of this process, none on the server.
-        kind: which of the two.
-
-    Yields:
-        What each line says of the run.
+    Takes what ``RunLog`` holds; yields what each line says of the run.
     """
     about = RunLog(run, round_number, robots, kind)
     handler = logging.StreamHandler(sys.stderr)

@@ -10,8 +10,7 @@ import sysconfig
 from pathlib import Path
 
 from experiments.flower import variables
-from repeatable.private import SETTINGS, with_scripts
-from repeatable.processes import MARKER
+from repeatable.processes import MARKER, SETTINGS, with_scripts
 
 HOST = "127.0.0.1"
 CONNECTION = "risfleet"

@@ -13,8 +13,7 @@ from typing import IO
 
 from experiments.flower.environment import FlowerError, child_environment
 from experiments.flower.guard import Guard
-from repeatable.private import started_apart
-from repeatable.processes import Process, identify, terminate
+from repeatable.processes import Process, identify, started_apart, terminate
 
 # Ray's socket, <folder>/ray/session_<date>_<pid>/sockets/plasma_store, must fit 103 bytes (107 on
 # Linux), which leaves this much for the folder in which ours is made.

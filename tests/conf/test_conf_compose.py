@@ -242,6 +242,8 @@ def test_a_configuration_survives_its_yaml():
         ("- 1\n- 2\n", "the configuration is no mapping"),
         ("env:\n  robotz: 3\n", "robotz"),
         ("env:\n  robots: many\n", "many"),
+        ("agent: ${nope}\n", "Interpolation key 'nope' not found"),
+        ("agent: 3\n", "AgentConfig. value: 3"),
         ("env:\n  robots: 0\n", "env.robots=0: allowed is a number from 1 to 64."),
     ],
 )
@@ -253,7 +255,13 @@ def test_a_file_of_another_schema_is_refused(text, message):
 
 @pytest.mark.parametrize(
     "stored",
-    ["dueling: false", "n_step: 1", "priority: {alpha: 0.0, beta: 0.4}", "factored: false"],
+    [
+        "dueling: false",
+        "n_step: 1",
+        "priority: {alpha: 0.0, beta: 0.5}",
+        "priority: {beta: 0.4}",
+        "factored: false",
+    ],
 )
 def test_a_key_that_was_taken_out_is_passed_over_where_it_was_off(stored):
     text = to_yaml(Config())

@@ -16,7 +16,6 @@ from env import plugins
 from env.checks import checked_config
 from env.local_env import LocalEnv
 from env.mdp import reward
-from env.mdp.destinations import draw_destinations
 from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -77,8 +76,7 @@ def ramp(config, floor):
 
 def world_of(changes):
     config = checked_config({**BASE, **changes})
-    destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    return World(Scenario(config, destinations), stream(0, Stream.WORLD), worlds=5)
+    return World(Scenario.drawn(config, 0), stream(0, Stream.WORLD), worlds=5)
 
 
 def slots(world, count=40):

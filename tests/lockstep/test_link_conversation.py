@@ -34,7 +34,7 @@ from lockstep.errors import (
     ServerLost,
 )
 from lockstep.frames import decode, encode
-from lockstep.local import LocalFleet
+from lockstep.local import InProcessFleet
 from lockstep.messages import (
     PLAIN,
     UPDATE,
@@ -54,7 +54,7 @@ SCATTERED = [(3, 1), (0,), (2,)]
 
 def local(blocks, fail_at=None, layout=PLAIN):
     handlers = [Recorder(block, fail_at if block == blocks[0] else None) for block in blocks]
-    return handlers, LocalFleet([(handler.block, handler) for handler in handlers], layout)
+    return handlers, InProcessFleet([(handler.block, handler) for handler in handlers], layout)
 
 
 @pytest.mark.parametrize("layout", [PLAIN, Layout(worlds=2), WIDE], ids=["plain", "worlds", "wide"])
@@ -226,7 +226,7 @@ def test_an_unfit_answer_of_a_handler_is_its_own_failure(link, where, answer):
             return answer
 
     if where == "local":
-        fleet = LocalFleet([((0, 1), Unfit((0, 1)))])
+        fleet = InProcessFleet([((0, 1), Unfit((0, 1)))])
     else:
         fleet = link.admit((0, 1))
         client = Client(fleet, Unfit((0, 1)))
@@ -507,7 +507,7 @@ def test_wrong_arrays_are_refused_before_anything_is_sent(link, where):
 @pytest.mark.parametrize("blocks", [[], [(0,), ()], [(0,), (0,)], [(1,)], [(0,), (2,)], [(-1, 0)]])
 def test_blocks_must_deal_every_robot_once(link, blocks):
     with pytest.raises(ValueError, match="each robot from 0 to K-1 once"):
-        LocalFleet([(block, Recorder(block)) for block in blocks])
+        InProcessFleet([(block, Recorder(block)) for block in blocks])
     with pytest.raises(ValueError, match="each robot from 0 to K-1 once"):
         link.admit(*blocks)
 

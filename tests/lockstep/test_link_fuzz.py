@@ -42,7 +42,7 @@ from lockstep.acceptor import MAX_PENDING
 from lockstep.errors import FrameError, LinkError, LinkTimeout, RobotFailed, RobotLost
 from lockstep.frame_stream import FrameStream
 from lockstep.frames import decode, encode
-from lockstep.local import LocalFleet
+from lockstep.local import InProcessFleet
 from lockstep.messages import PLAIN, VERSION, Actions, Expect, Hello, Weights, Welcome
 from lockstep.server import LinkServer
 from lockstep.tls import client_context, server_context
@@ -113,7 +113,7 @@ def test_a_stream_gives_whole_frames_however_they_are_cut(sent, rest, data):
 
 def reference(blocks):
     """What an undisturbed run hears."""
-    return drive(LocalFleet([(block, Recorder(block)) for block in blocks]), 3)
+    return drive(InProcessFleet([(block, Recorder(block)) for block in blocks]), 3)
 
 
 UNDISTURBED = [array.tobytes() for array in reference(BLOCKS)]

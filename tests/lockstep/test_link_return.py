@@ -38,10 +38,10 @@ def test_all_are_sent_to_a_window_and_go_on_from_there(link, model):
 def test_it_is_the_same_in_one_process(link):
     from link_helpers import Recorder
 
-    from lockstep.local import LocalFleet
+    from lockstep.local import InProcessFleet
 
     handlers = [Recorder((0,)), Recorder((1,))]
-    fleet = LocalFleet([((0,), handlers[0]), ((1,), handlers[1])])
+    fleet = InProcessFleet([((0,), handlers[0]), ((1,), handlers[1])])
     fleet.begin(4, MODEL)
     assert [begun(handler) for handler in handlers] == [[("begin", 4, MODEL.tobytes())]] * 2
     assert drive(fleet, 2)

@@ -1,6 +1,7 @@
 """What the exchange of weights takes of the channel, and whom the server hears."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -28,8 +29,13 @@ def rate(channel_db):
     return np.log2(1.0 + 10 ** ((channel_db + 120) / 10))
 
 
+@cache
+def composed(*overrides):
+    return compose(list(overrides))
+
+
 def account(windows, *overrides, asked=ALL):
-    found = Airtime(compose(list(overrides)))
+    found = Airtime(composed(*overrides))
     for window in windows:
         found.add(window, asked)
     return found.summary(MEASURES)
@@ -77,7 +83,7 @@ def test_worlds_side_by_side_count_as_one():
 
 def test_the_account_goes_on_from_its_state():
     windows = [facts(-60.0, -80.0, -100.0), facts(-90.0, -85.0, -70.0)]
-    first, second = Airtime(compose([])), Airtime(compose([]))
+    first, second = Airtime(composed()), Airtime(composed())
     first.add(windows[0], ALL)
     second.restore(first.state())
     second.add(windows[1], ALL)

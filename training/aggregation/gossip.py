@@ -27,12 +27,7 @@ Weights = NDArray[np.float32]
 
 
 class Gossip:
-    """Mixes the robots' rows along a graph.
-
-    Args:
-        config: the group ``strategy``, with ``name=gossip``.
-        seed: the run's, for random graphs.
-    """
+    """Mixes the robots' rows along a graph; random ones are drawn from the run's seed."""
 
     def __init__(self, config: StrategyConfig, seed: int) -> None:
         self._config, self._seed = config, seed

@@ -60,11 +60,7 @@ class CommandedFleet:
 
 
 class CentralAgent(NetworkAgent):
-    """A ``RisController`` that commands the robots, too.
-
-    Attributes:
-        fleet: the robots.
-    """
+    """A ``RisController`` that commands the robots, too: its ``fleet``."""
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)

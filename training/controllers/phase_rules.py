@@ -24,14 +24,8 @@ def fixed_phase(world: World, map_seed: int) -> int:
     """The phase action with the largest mean sum of the metric over the floor.
 
     The mean is over random placements of K robots on the drivable floor, all driving, with
-    canonical powers: what can be known of a map without any task on it.
-
-    Args:
-        world: for its tables; not changed.
-        map_seed: the placements are the map's.
-
-    Returns:
-        The action; of equal ones the lowest.
+    canonical powers: what can be known of a map without any task on it. Placements are the map's;
+    of equal actions it is the lowest. Of the world only the tables are read.
     """
     generator = stream(map_seed, Stream.RADIO_MAP, 2)
     cells = np.flatnonzero(world.floor.drivable())
@@ -50,10 +44,7 @@ def fixed_phase(world: World, map_seed: int) -> int:
 class PhaseRule(RisController):
     """An access point with a rule in the place of its DQN: it has no weights and learns nothing.
 
-    Args:
-        config: the run's configuration; ``scheme.phase`` is random, fixed or oracle, whose phase
-            is the best once picks are known.
-        world: whose RIS it steers.
+    By ``scheme.phase``: random, fixed, or an oracle's, the best once picks are known.
     """
 
     def __init__(self, config: Config, world: World) -> None:

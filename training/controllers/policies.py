@@ -72,12 +72,7 @@ Policy = Callable[[World, PolicyWeights, Exploration], Decision]
 
 
 def frozen_policy(config: Config, world: World) -> Policy:
-    """How a run's scheme decides.
-
-    Args:
-        config: the run's configuration.
-        world: one with the tables of those that will be played in; not changed.
-    """
+    """How a run's scheme decides, in worlds with the tables of this one, which is not changed."""
     if config.scheme.agents == "centralized":
         return _Joint(config)
     if config.scheme.agents == "branching":

@@ -162,10 +162,7 @@ class Recorder:
     ) -> None:
         """Writes ``episode.json``: the newest episode of an evaluation, for whoever watches.
 
-        Args:
-            folder: the run's, or a room's.
-            progress: where the run is.
-            episode: as ``training.trace.recorded`` gives it.
+        The folder is the run's, or a room's; the episode as ``training.trace.recorded`` gives it.
         """
         at = {"tick": progress.tick, "episode": progress.episodes}
         self._show(folder.episode_file.name, lambda: folder.write_episode({**at, **episode}))

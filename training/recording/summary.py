@@ -25,11 +25,6 @@ LAST_EVALUATIONS = 5
 class Accounts:
     """What runs of one room and of many have in common: clocks, checkpoints, summary.
 
-    Args:
-        config: the run's configuration.
-        folder: the run's folder.
-        resumed: where the run goes on, if it does not begin.
-
     Attributes:
         added: what the runtime has cost since this process began.
         writer: of checkpoints.
@@ -57,11 +52,8 @@ class Accounts:
     def checkpoint(self, window: int, arrays: State, recorder: Recorder, **also: float) -> None:
         """Writes the server's checkpoint of a window, once the one before it is there.
 
-        Args:
-            window: windows that have been played.
-            arrays: the run's state.
-            recorder: the run's.
-            also: spent beside wall and processor time, in s.
+        It is of the windows that have been played. What was spent beside wall and processor time,
+        in s, goes into it ``also``.
 
         Raises:
             OSError: the one before it could not be written.

@@ -30,13 +30,7 @@ class Trackers:
 
     @classmethod
     def of(cls, config: Config, folder: RunFolder, undone: int) -> Trackers:
-        """Those that a configuration names.
-
-        Args:
-            config: the run's.
-            folder: the run's.
-            undone: what an earlier part of the run has recorded from this tick on comes again.
-        """
+        """Those that a run has chosen; what it has recorded from ``undone`` on comes again."""
         chosen: list[Tracker] = []
         if config.run.tensorboard:
             chosen.append(TensorBoard(folder.tensorboard, undone))

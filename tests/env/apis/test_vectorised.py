@@ -49,10 +49,7 @@ GRID: dict[str, dict[str, Any]] = {
         "collisions": "block",
         "walls": {"block_motion": True},
     },
-    "as_many_robots_as_there_may_be": {
-        "robots": 64,
-        "access": "oma",
-    },
+    "as_many_robots_as_there_may_be": {"robots": 64, "access": "oma"},
 }
 each_world = pytest.mark.parametrize("config", GRID.values(), ids=GRID)
 

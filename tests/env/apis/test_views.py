@@ -24,7 +24,6 @@ from env.apis.parallel_env import RISFleetParallelEnv, parallel_env
 from env.apis.single_robot import SingleRobotEnv
 from env.config import EnvConfig, RisConfig
 from env.mdp.actions import ActionSpace
-from env.mdp.destinations import draw_destinations
 from env.rendering.drawing import missed, trajectory_figure
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -132,10 +131,7 @@ def test_observations_lie_in_their_spaces(config: dict[str, Any]) -> None:
 def test_the_parallel_view_is_the_world_bit_for_bit(config: dict[str, Any]) -> None:
     view = parallel_env(config=config, seed=5)
     whole = view.config
-    world = World(
-        Scenario(whole, draw_destinations(whole, stream(5, Stream.DESTINATIONS))),
-        stream(9, Stream.WORLD),
-    )
+    world = World(Scenario.drawn(whole, 5), stream(9, Stream.WORLD))
     random = np.random.default_rng(1)
     seen, _ = view.reset(seed=9)
     world.reset()

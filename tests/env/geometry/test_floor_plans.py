@@ -18,7 +18,6 @@ from env.config import EnvConfig
 from env.config_checks import problems
 from env.geometry import floor_plans
 from env.geometry.floor import Floor
-from env.mdp.destinations import draw_destinations
 from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -84,8 +83,7 @@ def test_a_new_plan_changes_the_geometry_alone(name):
 @pytest.mark.parametrize("robots", [1, 4, 6])
 def test_robots_of_a_new_plan_have_ways_that_they_can_drive_in_time(name, robots):
     config = checked_config({"plan": name, "robots": robots, "collisions": "block"})
-    goals = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    world = World(Scenario(config, goals), stream(0, Stream.WORLD), worlds=500)
+    world = World(Scenario.drawn(config, 0), stream(0, Stream.WORLD), worlds=500)
     world.reset()
     assert world.shortest_slots.max() < config.motion.max_slots
     drivable = world.floor.drivable()

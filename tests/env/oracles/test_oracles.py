@@ -318,8 +318,7 @@ def test_weights_decide_who_is_served_best() -> None:
 def test_thousands_of_phases_are_searched_in_parts() -> None:
     """4,096 settings times 20 powers of two worlds: more than one part of a world's own."""
     config = checked_config({"ris": {"bits": 2, "subsurfaces": 6}, "room": {"cell_m": 3.0}})
-    destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    world = World(Scenario(config, destinations), stream(0, Stream.WORLD), 2)
+    world = World(Scenario.drawn(config, 0), stream(0, Stream.WORLD), 2)
     assert world.phase_actions == 4096
     world.reset()
     rows = np.arange(2)

@@ -19,7 +19,6 @@ from env.config import (
 )
 from env.config_checks import problems
 from env.geometry.floor import Floor
-from env.mdp.destinations import draw_destinations
 from env.oracles.per_slot import best_phase
 from env.radio import codebook
 from env.radio.propagation import phases
@@ -162,11 +161,7 @@ def test_gains_are_looked_up_for_each_world_and_robot():
 
 def test_an_oracle_reads_every_beam():
     config = surface()
-    world = World(
-        Scenario(config, draw_destinations(config, stream(0, Stream.DESTINATIONS))),
-        stream(0, Stream.WORLD),
-        worlds=2,
-    )
+    world = World(Scenario.drawn(config, 0), stream(0, Stream.WORLD), worlds=2)
     world.reset()
     every = world.channel(np.arange(world.phase_actions)[None])
     assert every.shape == (2, 6, 3)

@@ -32,9 +32,6 @@ class MLflow:
 
     MLflow's own variables count, ``MLFLOW_TRACKING_URI`` and ``MLFLOW_EXPERIMENT_NAME`` among
     them. Without the first nothing leaves this machine, MLflow's report of its use included.
-
-    Args:
-        folder: the run's, in which the database lies.
     """
 
     name = "MLflow"
