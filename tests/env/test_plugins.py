@@ -350,7 +350,8 @@ def test_a_registered_reward_trains_other_weights(tmp_path, tiny_overrides):
     env.register_reward("squared", squared)
     env.register_reward("papers", reward.local_reward)
     for name in ("paper", "papers", "squared"):
-        given = [f"env.reward.model={name}", "train.max_ticks=30", f"run.dir={tmp_path / name}"]
+        given = [f"env.reward.model={name}", f"run.dir={tmp_path / name}"]
+        given += ["train.max_ticks=20", "evaluation.episodes=1"]
         assert main(["train", *tiny_overrides, *given]) == 0
     assert digests(tmp_path / "papers") == digests(tmp_path / "paper")
     assert digests(tmp_path / "squared")["robots"] != digests(tmp_path / "paper")["robots"]

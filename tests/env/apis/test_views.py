@@ -38,7 +38,6 @@ CONFIGS: dict[str, dict[str, Any]] = {
     "drawn_destinations": {"robots": 6, "motion": SHORT},
     "state_without_destination": {"robots": 2, "state": {"destination": "none"}, "motion": SHORT},
     "round_solid_walls": {"robots": 2, "walls": {"block_motion": True}, "motion": SHORT},
-    "a_plan": {"robots": 2, "plan": "corridor", "motion": {"max_slots": 120}},
     "the_way": {"robots": 2, "state": {"way": "on", "destination": "none"}, "motion": SHORT},
     "weights_by_gain": {
         "robots": 3,

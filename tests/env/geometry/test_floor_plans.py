@@ -112,6 +112,8 @@ def test_the_rooms_of_the_corridor_lie_in_the_access_points_shadow():
 def test_the_views_and_the_command_have_the_same_plan(name):
     composed = compose([f"env.plan={name}", "env.robots=2"]).env
     assert composed == checked_config({"plan": name, "robots": 2})
+    if name == "hall":
+        assert composed.motion.max_slots == 200  # and not the schema's default
     assert asked_on_flower([f"env.plan={name}", "env.robots=2"])[0].env == composed
     if name == "corridor":  # the views make their worlds, which takes longer
         assert RISFleetParallelEnv({"plan": name, "robots": 2}).config == composed
@@ -152,10 +154,6 @@ def test_what_a_user_wrote_is_above_the_plan_whatever_the_default(monkeypatch, t
         monkeypatch.setattr(sys.modules[module], "FOLDER", folder)
     assert compose(["experiment=office", "env.plan=hall"]).env.motion.max_slots == slots
     assert compose([f"env.motion.max_slots={slots}", "env.plan=hall"]).env.motion.max_slots == slots
-
-
-def test_a_plan_wins_over_the_defaults():
-    assert compose(["env.plan=hall"]).env.motion.max_slots == 200
 
 
 def test_a_configuration_that_is_written_out_needs_its_plan_no_more(own):
