@@ -23,13 +23,9 @@ _BROADCASTS = ("broadcast", "outcome_broadcast")
 
 
 def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int) -> None:
-    """Checks the records of a step; a few microseconds for each robot, so before every tick.
+    """Checks the robots' records of a step on a floor of so many cells.
 
-    Args:
-        tick: for the message.
-        robots: whose each record is.
-        updates: the records.
-        cells: how many the floor has.
+    It takes a few microseconds for each robot, so it is done before every tick.
 
     Raises:
         ValueError: a cell that is not on the floor, or a rate or channel that is not a number or

@@ -30,12 +30,8 @@ class RobotGroup:
     actions, ``upload`` returns their weights, ``download`` sets them. How robots are grouped
     changes no bit of any of them.
 
-    Args:
-        config: the run's configuration.
-        robots: which robots these are, indices below K.
-
     Attributes:
-        robots: the same.
+        robots: which robots these are, indices below K.
         run: the run's identity, None where it has none.
         agents: their DQNs.
         parameters: P, of one network.

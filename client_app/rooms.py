@@ -160,7 +160,11 @@ class RoomKeeper:
         self.rooms = {name: held for name, held in self.rooms.items() if name in names}
 
     def keep(self) -> None:
-        """Writes a checkpoint of each room at hand that has none of the round it last played."""
+        """Writes a checkpoint of each room at hand that has none of the round it last played.
+
+        Raises:
+            OSError: one cannot be written.
+        """
         if self.state is not None:
             for name, (_, played) in self.rooms.items():
                 if self.kept.get(name) != played:

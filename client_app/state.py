@@ -22,12 +22,8 @@ class CheckpointedRobots:
     """Robots on the link that write their checkpoints before they upload, and go back to them.
 
     A checkpoint of every ``state.every`` windows is one that the server and all robots write; one
-    at the end of a Flower round carries the robots over to the process that plays the next.
-
-    Args:
-        config: the run's configuration.
-        robots: which robots these are.
-        state: the folder of checkpoints on this machine; None writes none.
+    at the end of a Flower round carries the robots over to the process that plays the next. Without
+    a folder for them, ``state``, there are none.
 
     Attributes:
         parameters: P, of one network.
@@ -131,12 +127,7 @@ def save_state(
 ) -> None:
     """Writes each robot's checkpoint of a window: replay, moments, random state, weights.
 
-    Args:
-        group: the robots.
-        state: the folder of checkpoints on this machine.
-        window: windows that have been played.
-        place: the folder of a robot's checkpoints, below ``state``.
-        save: ``storage.checkpoint_files.save_checkpoint``, or a writer's.
+    ``place`` says in which folder below ``state``; ``save`` may be a ``Writer``'s.
     """
     for index, robot in enumerate(group.robots):
         arrays = group.robot_state(index)

@@ -49,7 +49,7 @@ class LocalEnv:
         Args:
             cell: where it is, shape (n,).
             channel_db: |hbar|^2 in dB as it measures it, shape (n,).
-            broadcast: what the access point tells it, shape (n, broadcast_size).
+            broadcast: what the access point tells it, shape (n, broadcast_size); None if 0.
 
         Raises:
             ValueError: the broadcast is missing.

@@ -135,7 +135,7 @@ def register_reward(name: str, function: Reward) -> None:
     """Makes a reward of the robots known in this process, as ``env.reward.model=NAME``.
 
     Args:
-        name: letters, digits, ``_``, ``-`` and ``.``; again the same name replaces the function.
+        name: as of ``register_channel_model``.
         function: with the arguments of ``env.mdp.reward.local_reward``, element by element; gives
             rewards of their shape, float64. Its rate is the credit with ``reward.credit``.
 

@@ -6,13 +6,13 @@ import logging
 import socket
 import ssl
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from lockstep.errors import Disconnected, FrameError, LinkTimeout, Refused, ServerLost, described
 from lockstep.frame_stream import FrameStream, prepare
 from lockstep.frames import decode, encode
-from lockstep.interface import Robots, answer
+from lockstep.interface import Robots
 from lockstep.messages import (
     PLAIN,
     VERSION,
@@ -24,17 +24,22 @@ from lockstep.messages import (
     Hello,
     Layout,
     Message,
+    Payload,
     Rejection,
     Restore,
     Step,
     Weights,
     Welcome,
+    checked_actions,
     checked_download,
     checked_model,
+    checked_upload,
 )
 from lockstep.wire_format import TEXT_SIZE, model_size, step_size
 
 log = logging.getLogger(__name__)
+LINGER_S = 1.0
+"""How long a client that has said why it stops waits for the server to close."""
 
 
 def serve(
@@ -51,7 +56,7 @@ def serve(
     client_context: ssl.SSLContext | None = None,
     layout: Layout = PLAIN,
 ) -> None:
-    """Serve one round: returns once the handler has taken the step that ends it.
+    """Serve one round: returns once the handler has taken a step that expects `END_ROUND`.
 
     Args:
         address: host and port of the server.
@@ -129,7 +134,7 @@ class _Line:
         except (ServerLost, SystemExit, KeyboardInterrupt):
             raise
         except BaseException as error:
-            self._stream.finish(encode(Failure(described(error))), linger_s=1.0)
+            self._stream.finish(encode(Failure(described(error))), linger_s=LINGER_S)
             raise
 
     def _converse(self) -> None:
@@ -137,8 +142,10 @@ class _Line:
         while True:
             message = self._recv()
             if isinstance(message, Weights) and message.window == uploaded:
-                model = self._fitting(checked_download, message.weights, self._layout)
-                self._handler.download(message.window, model)
+                weights = message.weights
+                with _due():
+                    checked_download(weights, self._robots, self._parameters, self._layout)
+                self._handler.download(message.window, weights)
                 uploaded = -1
                 continue
             uploaded = -1
@@ -146,33 +153,30 @@ class _Line:
                 rows, due = len(message.updates), self._robots * self._layout.worlds
                 if rows != due:
                     raise FrameError(f"a step of {rows} records, not {due}")
-                given = answer(self._handler, message, self._robots, self._parameters, self._layout)
-                if given is None:
+                actions = self._handler.step(message)
+                if message.expect is Expect.END_ROUND:
                     return
                 if message.expect is Expect.ACTIONS:
-                    self._send(Actions(message.tick, given))
+                    self._send(Actions(message.tick, checked_actions(actions, rows)))
                 else:
                     uploaded = message.window
-                    self._send(Weights(uploaded, given))
+                    self._send(Weights(uploaded, self._uploaded()))
             elif isinstance(message, Abort):
                 self._send(Ack(message.number, tuple(self._handler.windows())))
             elif isinstance(message, Restore):
-                model = message.model
-                if model is not None:
-                    model = self._fitting(checked_model, model)
-                self._handler.begin(message.window, model)
+                if message.model is not None:
+                    with _due():
+                        checked_model(message.model, self._robots, self._parameters)
+                self._handler.begin(message.window, message.model)
                 self._send(Ack(message.number))
             elif isinstance(message, Failure):
                 raise ServerLost(f"the server has stopped: {message.reason}")
             else:
                 raise FrameError(f"{type(message).__name__} out of turn")
 
-    def _fitting(self, check: Callable[..., Any], weights: object, *layout: Layout) -> Any:
-        """The server's weights, if they are as was agreed."""
-        try:
-            return check(weights, self._robots, self._parameters, *layout)
-        except (TypeError, ValueError) as error:
-            raise FrameError(str(error)) from error
+    def _uploaded(self) -> Payload:
+        weights = self._handler.upload()
+        return checked_upload(weights, self._robots, self._parameters, self._layout)
 
     def _recv(self) -> Message:
         """The server's next message; its arrays are the caller's to keep."""
@@ -193,6 +197,15 @@ class _Line:
             raise Disconnected(f"the server has gone: {described(error)}") from error
 
 
+@contextmanager
+def _due() -> Iterator[None]:
+    """Weights of the server that are not as was agreed make its frame a wrong one."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise FrameError(str(error)) from error
+
+
 def _connected(
     address: tuple[str, int],
     timeout_s: float,
@@ -204,8 +217,8 @@ def _connected(
     deadline = time.monotonic() + timeout_s
     pause = 0.05
     while True:
+        rest = max(0.05, deadline - time.monotonic())
         try:
-            rest = max(0.05, deadline - time.monotonic())
             sock = socket.create_connection(address, timeout=rest)
             break
         except OSError as error:

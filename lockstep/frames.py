@@ -170,7 +170,11 @@ def actions_in(frame: memoryview, tick: int, count: int) -> NDArray[np.int32]:
 
 
 def decode(frame: memoryview | bytes | bytearray, layout: Layout = PLAIN) -> Message:
-    """The message in a whole frame; its arrays are views of the frame, a `Step`'s by the layout.
+    """The message in a whole frame; its arrays are views of the frame.
+
+    Args:
+        frame: header and body.
+        layout: of a `Step`'s records.
 
     Raises:
         FrameError: anything about the frame is not as it must be.

@@ -1,13 +1,13 @@
 """The two ends of the link, whatever lies between them."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lockstep.errors import ProtocolError
-from lockstep.messages import Expect, Layout, Payload, Step, checked_actions, checked_upload
+from lockstep.messages import Expect, Payload, Step
 
 
 class Robots(Protocol):
@@ -32,26 +32,6 @@ class Robots(Protocol):
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """Go to the state after a window, 0 being the start; then take plain weights, if any."""
         ...
-
-
-def answer(
-    handler: Robots, step: Step, robots: int, n_parameters: int, layout: Layout
-) -> np.ndarray | None:
-    """What a handler answers to a step, checked: actions, weights, or None at the end of a round.
-
-    Args:
-        handler: of n robots.
-        step: for them.
-        robots: n.
-        n_parameters: P, of one network.
-        layout: of the weights.
-    """
-    actions = handler.step(step)
-    if step.expect is Expect.ACTIONS:
-        return checked_actions(actions, len(step.updates))
-    if step.expect is Expect.END_ROUND:
-        return None
-    return checked_upload(handler.upload(), robots, n_parameters, layout)
 
 
 class Fleet(Protocol):
@@ -108,10 +88,11 @@ class ProtocolState:
         self.tick, self.window = tick, window
         self._next = _AFTER[expect]
 
-    def on_call(self, call: str, number: int) -> None:
+    def on_call(self, call: Literal["actions", "upload", "download"], number: int) -> None:
         """`actions` of a tick is called, or `upload` or `download` of a window."""
-        if call != self._next or number != (self.tick if call == "actions" else self.window):
-            raise ProtocolError(f"{call} of {number} where {self._next} is due, {self}")
+        kind, due = ("tick", self.tick) if call == "actions" else ("window", self.window)
+        if call != self._next or number != due:
+            raise ProtocolError(f"{call} of {kind} {number} where {self._next} is due, {self}")
         self._next = "download" if call == "upload" else "send_step"
 
 

@@ -30,9 +30,9 @@ from lockstep.server_round import ServerRound
 class LinkServer:
     """Listens for the robots' clients and, once a round is open, drives them as a `Fleet`.
 
-    A round is opened with `admit`, begins with `wait_connected` and ends with a step that ends it,
-    with the next `admit`, or with `close`. Pending connections are heard on a thread of their own;
-    everything else happens in the caller's, which must be one at a time.
+    A round is opened with `admit`, begins with `wait_connected` and ends with a step that expects
+    `END_ROUND`, with the next `admit`, or with `close`. Pending connections are heard on a thread
+    of their own; everything else happens in the caller's, which must be one at a time.
 
     Attributes:
         address: host, as it was given, and port.
@@ -78,7 +78,7 @@ class LinkServer:
 
     def admit(
         self,
-        blocks: Sequence[tuple[int, ...]],
+        blocks: Sequence[Sequence[int]],
         tokens: Mapping[int, str],
         weights_shape: tuple[int, int],
     ) -> None:
@@ -95,10 +95,11 @@ class LinkServer:
         self._part("a new round has begun")
         self._robots, self._parameters = robots, weights_shape[1]
         slots = []
-        for block in blocks:
+        each = [tuple(block) for block in blocks]
+        for block in each:
             stats = self._stats.setdefault(block, BlockStats())
             slots.append(ClientSlot(block, self._parameters, self._layout, stats))
-        admission = RoundCredentials(self._fingerprint, tuple(blocks), dict(tokens))
+        admission = RoundCredentials(self._fingerprint, tuple(each), dict(tokens))
         self._round = ServerRound(admission, slots, self._acceptor, self._timeout_s)
         self._acceptor.admission = admission
 
@@ -122,7 +123,7 @@ class LinkServer:
         self._open.renew(block, tokens)
 
     def halt(self) -> list[int]:
-        """Make all connected clients drop what is under way.
+        """Make all clients, which must be connected, drop what is under way.
 
         Returns:
             The windows, ascending, of which all robots have a checkpoint.

@@ -36,13 +36,10 @@ class ServerRound:
         acceptor: Acceptor,
         timeout_s: float,
     ) -> None:
-        """A round in which all slots are free.
+        """A round in which all slots, one for each block, are free.
 
-        Args:
-            admission: the terms of this round; arrivals under other terms are turned away.
-            slots: one for each block.
-            acceptor: lets clients in.
-            timeout_s: the longest wait for an answer, in s.
+        Arrivals under other terms than `admission` are turned away; an answer is waited for
+        `timeout_s` seconds at most.
         """
         self.slots = {slot.block: slot for slot in slots}
         self.protocol = ProtocolState()

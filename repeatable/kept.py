@@ -26,11 +26,7 @@ KINDS = (
 
 
 class Kept:
-    """The attributes of a strategy that have changed since it was made.
-
-    Args:
-        strategy: a fresh one.
-    """
+    """The attributes of a strategy that have changed since this was made, of a fresh one."""
 
     def __init__(self, strategy: Strategy) -> None:
         self._strategy = strategy

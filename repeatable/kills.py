@@ -86,8 +86,8 @@ def play(
         task: what to play.
         folder: of its state, absolute.
         kills: when to kill, in order.
-        deck: whom.
-        tell: gets a line for each kill.
+        deck: whom to kill.
+        tell: is given a line for each kill.
 
     Raises:
         LiveError: it failed, or stood still, though nothing was killed.

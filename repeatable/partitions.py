@@ -34,7 +34,7 @@ class Partitions:
     """The nodes of a federation by partition, asked once each.
 
     Args:
-        count: how many there are; None takes the nodes' word, ``num-partitions``.
+        count: of partitions; None takes the nodes' word, ``num-partitions``.
     """
 
     def __init__(self, count: int | None) -> None:
@@ -130,12 +130,7 @@ def _reason(reply: Message | None) -> str:
 
 
 class View:
-    """A federation as a strategy sees it: partition k is node k + 1, in every run.
-
-    Args:
-        grid: Flower's; all but the nodes' numbers is its own.
-        count: of partitions.
-    """
+    """A federation as a strategy sees it: partition k is node k + 1; all else is the grid's own."""
 
     def __init__(self, grid: Grid, count: int) -> None:
         self._grid, self._count = grid, count

@@ -130,12 +130,7 @@ def aim(process: Process) -> KillTarget | None:
 
 
 class Deck:
-    """Whom to kill next: every role has its turn, in a random order, as soon as it is there.
-
-    Args:
-        roles: whom to kill at all.
-        rng: of the suite.
-    """
+    """Whom to kill next: each role has its turn, in random order, as soon as it is there."""
 
     def __init__(self, roles: Sequence[str], rng: random.Random) -> None:
         self._roles, self._rng = roles, rng

@@ -1,4 +1,4 @@
-"""Find and end every process of a session, whatever session or parent it has moved to.
+"""Start, find and end every process of a session, whatever session or parent it has moved to.
 
 Flower's SuperExec starts a session of its own and Ray's services outlive the process that started
 them, so neither a process group nor a tree of parents holds them all. Three things do: an
@@ -11,13 +11,25 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sysconfig
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 import psutil  # type: ignore[import-untyped]
+
+SETTINGS = {
+    "FLWR_TELEMETRY_ENABLED": "0",
+    "FLWR_DISABLE_UPDATE_CHECK": "1",
+    # Without it a SuperLink installs the dependencies anew for every run, torch included.
+    "FLWR_DISABLE_RUNTIME_DEPENDENCY_INSTALLATION": "1",
+    "RAY_USAGE_STATS_ENABLED": "0",
+}
+"""Variables for processes of a private Flower session."""
 
 MARKER = "RISFLEET_SESSION"
 
@@ -41,6 +53,32 @@ class Process:
     started: str
     parent: int = field(default=0, compare=False)
     zombie: bool = field(default=False, compare=False)
+
+
+def with_scripts(environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment in which Flower finds its own commands, which it starts by bare names."""
+    scripts = sysconfig.get_path("scripts")
+    path = os.pathsep.join([scripts, environment.get("PATH", os.defpath)])
+    return {**environment, "PATH": path}
+
+
+def started_apart(
+    argv: Sequence[str],
+    folder: Path,
+    environment: Mapping[str, str],
+    output: IO[bytes] | int,
+    errors: IO[bytes] | int = subprocess.STDOUT,
+) -> subprocess.Popen[bytes]:
+    """Starts a process in a folder, away from our terminal's signals; errors go with the output."""
+    return subprocess.Popen(
+        argv,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=errors,
+        cwd=folder,
+        env=environment,
+        start_new_session=True,
+    )
 
 
 def table() -> dict[int, Process]:

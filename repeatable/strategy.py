@@ -75,7 +75,7 @@ class Repeatable(Strategy):
     ) -> Iterable[Message]:
         """As the strategy does, to the nodes that hold the partitions which it asks."""
         ask = self._strategy.configure_train
-        return self._asked(TRAIN, ask, server_round, arrays, config, grid)
+        return self._configured(TRAIN, ask, server_round, arrays, config, grid)
 
     def aggregate_train(
         self, server_round: int, replies: Iterable[Message]
@@ -94,7 +94,7 @@ class Repeatable(Strategy):
     ) -> Iterable[Message]:
         """See ``configure_train``."""
         ask = self._strategy.configure_evaluate
-        return self._asked(EVALUATE, ask, server_round, arrays, config, grid)
+        return self._configured(EVALUATE, ask, server_round, arrays, config, grid)
 
     def aggregate_evaluate(
         self, server_round: int, replies: Iterable[Message]
@@ -104,7 +104,7 @@ class Repeatable(Strategy):
         with self._seeded(server_round, EVALUATE, _AGGREGATE):
             return self._strategy.aggregate_evaluate(server_round, ordered)
 
-    def _asked(
+    def _configured(
         self,
         phase: int,
         ask: Callable[..., Iterable[Message]],
@@ -144,8 +144,8 @@ class Repeatable(Strategy):
                 configuration of clients.
             ClientLostError: a client gave no result, as often as a round may be played.
         """
-        configs = (train_config or ConfigRecord(), evaluate_config or ConfigRecord())
-        fresh = Progress(Result(initial_arrays), *configs)
+        train, evaluate = train_config or ConfigRecord(), evaluate_config or ConfigRecord()
+        fresh = Progress(Result(initial_arrays), train, evaluate)
         self.summary()
         progress = self._begun(fresh, evaluate_fn)
         while progress.round < num_rounds:

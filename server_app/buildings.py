@@ -31,6 +31,7 @@ from training.run_log import log_lines
 log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
+"""Between two looks whether a client's node is there."""
 PAUSE_S = 1.0
 """Between a round that all rooms have missed and the next try."""
 AWAY = "its Flower node is not there"
@@ -39,9 +40,7 @@ AWAY = "its Flower node is not there"
 class FlowerRooms:
     """The rooms of a building on Flower clients; implements ``training.rooms.RoomHost``.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir`` and a ``run.id``.
-        grid: Flower's grid.
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
     """
 
     forgets = True
@@ -117,11 +116,8 @@ class FlowerRooms:
     def node_for(self, block: Block, played: Set[int]) -> int | None:
         """The node to ask for a client's rooms: its own while that is there, or one that is free.
 
-        Args:
-            block: the client's rooms.
-            played: the rooms of the building that have played; where these are this client's,
-                their checkpoints must be on the node, and where they are not, they must not, or
-                one client would take the place of another.
+        The checkpoints of its rooms that have played must be on the node; of a client none of
+        whose rooms has, no other's may be, or it would take that one's place.
         """
         online = set(self._grid.get_node_ids())
         if self._places.get(block) in online:
@@ -261,6 +257,9 @@ class _ClientRound:
 def train_building(
     grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | None
 ) -> None:
-    """Trains a building with a federation's clients, from a checkpoint where there is one."""
+    """Trains a building with a federation's clients, from a checkpoint where there is one.
+
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
+    """
     with log_lines(config.run.id):
         BuildingRun(config, folder, resumed).train(FlowerRooms(config, grid))

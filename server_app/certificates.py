@@ -6,7 +6,6 @@ import datetime
 import ipaddress
 import re
 from collections.abc import Sequence
-from inspect import signature
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -69,9 +68,17 @@ def certify(
     issuer_identifier = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key())
     depth = None if hosts else 0
     # A server's key signs handshakes, an authority's certificates.
-    allowed = ("digital_signature",) if hosts else ("key_cert_sign", "crl_sign")
-    uses = dict.fromkeys(signature(x509.KeyUsage).parameters, False)
-    usage = x509.KeyUsage(**uses | dict.fromkeys(allowed, True))
+    usage = x509.KeyUsage(
+        digital_signature=bool(hosts),
+        key_cert_sign=not hosts,
+        crl_sign=not hosts,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
     builder = (
         x509.CertificateBuilder(authority, subject, key.public_key(), x509.random_serial_number())
         .not_valid_before(now - BACK_DATED)

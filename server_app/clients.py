@@ -29,14 +29,9 @@ TEND_S = 1.0
 
 
 class Clients:
-    """All clients of a run.
+    """All clients of a run, one on each node; robots are dealt to them in blocks.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir``.
-        grid: Flower's grid.
-        link: the listening end of the link.
-        nodes: the identity of each client's node; robots are dealt to them in blocks.
-        certificate: of the link, PEM; empty without TLS.
+    The link's certificate is PEM, empty without TLS.
 
     Attributes:
         places: the node of each block.
@@ -86,7 +81,11 @@ class Clients:
         self._send([block for block in self.places if block not in self._pending])
 
     def holders(self) -> dict[Block, int]:
-        """The node of each block, where nodes keep states of their own: see ``placed``."""
+        """The node of each block, where nodes keep states of their own; else none.
+
+        Raises:
+            RoundError: some robots' state is on no node.
+        """
         if self._config.runtime.connection is None:
             return {}
         self._held |= held_by(self._grid, self._config, sorted(self._grid.get_node_ids()))
@@ -180,7 +179,10 @@ class Clients:
         self._tokens |= {robot: secrets.token_urlsafe(TOKEN_BYTES) for robot in robots}
 
     def _send(self, blocks: list[Block]) -> None:
-        """Sends train messages; one that Flower does not take is sent again, if the run waits."""
+        """Sends train messages; one that Flower does not take is sent again, if the run waits.
+
+        It takes none for a node that has gone.
+        """
         for block in blocks:
             self.replies.pop(block, None)  # to a message of a round that was given up
         messages = [self._train_message(block) for block in blocks]

@@ -37,11 +37,7 @@ EARLY = 2
 class RecoveringTrainer:
     """Trains with the clients of a federation, through losses of them.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir`` and a ``run.id``.
-        folder: the run's folder.
-        link: the listening end of the link.
-        clients: who holds the robots.
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
     """
 
     def __init__(

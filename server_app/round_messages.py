@@ -38,16 +38,10 @@ def train_message(
     address: tuple[str, int],
     certificate: str,
 ) -> Message:
-    """What a client is asked in a round.
+    """What the client on a node is asked in the round of this number.
 
-    Args:
-        config: the run's configuration.
-        start: where the round begins.
-        number: the round's.
-        node: the client's.
-        tokens: a secret for each of its robots, for this round.
-        address: host and port of the link, as the robots reach it.
-        certificate: of the link's server, PEM; empty without TLS.
+    Each of its robots has a token, its secret for this round, and joins the link at its host and
+    port; the link's certificate is PEM, empty without TLS.
     """
     order = ConfigRecord(
         {

@@ -29,11 +29,7 @@ log = logging.getLogger(__name__)
 class FlowerFleet:
     """The robots of a run that Flower clients hold; implements ``lockstep.Fleet``.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir``.
-        link: the listening end of the link.
-        clients: who holds them.
-        on_round: callback with the number of each round that opens.
+    ``on_round`` is called with the number of each round that opens.
     """
 
     def __init__(

@@ -39,7 +39,7 @@ def digest(weights: NDArray[np.floating]) -> str:
 
 
 def arrays_digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:
-    """SHA-256, 64 hexadecimal digits, over all arrays' names, types, shapes and bytes, sorted."""
+    """SHA-256, 64 hexadecimal digits, over names, types, shapes and bytes, in whatever order."""
     return _sealed(hashlib.sha256(), arrays)
 
 
@@ -116,7 +116,7 @@ class Writer:
         self._pending.append(self._pool.submit(save_checkpoint, folder, step, arrays, meta))
 
     def wait(self) -> None:
-        """Returns once all is on disk."""
+        """Returns once all is on disk; an OSError where a checkpoint cannot be written."""
         pending, self._pending = self._pending, []
         for write in pending:
             write.result()

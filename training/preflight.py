@@ -57,7 +57,8 @@ def checked_training(overrides: Sequence[str]) -> Config:
 def check_trackers(config: Config) -> None:
     """Checks that the trackers that a run has chosen are installed where it is recorded.
 
-    That of another machine's ServerApp cannot be told from here.
+    Raises:
+        ConfigError: one is not; that of another machine's ServerApp cannot be told from here.
     """
     if config.runtime.connection is None and (found := tracking.problems(config.run)):
         raise ConfigError.of(found)

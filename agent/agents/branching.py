@@ -7,8 +7,6 @@ gets the mean of what the heads send back.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -113,9 +111,7 @@ class BranchingLearner(Learner):
         super().__init__(shape, config, discount=1.0, agents=1, width=layout.width)
 
     def _plan(self, start: int, stop: int) -> GradientStep:
-        return _HeadStep(
-            self._heads,
-            self._layout,
+        step = _HeadStep(
             self._shape,
             self._config,
             self._discount,
@@ -124,26 +120,27 @@ class BranchingLearner(Learner):
             self.batch,
             self._scratch,
         )
+        step.heads, step.rows = self._heads, self._layout
+        return step
 
 
 class _HeadStep(GradientStep):
-    """One gradient step of a network with several heads; `planned` is what `GradientStep` takes."""
+    """One gradient step of a network with several heads, on rows of their own layout."""
 
-    def __init__(self, heads: Heads, rows: HeadRows, *planned: Any) -> None:
-        super().__init__(*planned)
-        self._heads, self._head_rows = heads, rows
+    heads: Heads
+    rows: HeadRows
 
     def run(self) -> FloatArray:
         """Computes the gradient; returns the mean loss, shape (1,)."""
         self._run_forward()
-        fields, layout = self._batch[0].T, self._head_rows
+        fields, layout = self._batch[0].T, self.rows
         active, terminal = fields[layout.active], fields[layout.terminal]
         q, target_q = self._forward.q[0]
         by = self._next_online_q()
-        values = self._heads.values(target_q, None if by is None else by[0])
+        values = self.heads.values(target_q, None if by is None else by[0])
         going_on = active * (1 - terminal)
-        targets = self._heads.targets(fields[layout.rewards], terminal, going_on, values)
-        places = fields[layout.actions].astype(np.intp) + self._heads.starts[:, None]
+        targets = self.heads.targets(fields[layout.rewards], terminal, going_on, values)
+        places = fields[layout.actions].astype(np.intp) + self.heads.starts[:, None]
         samples = np.arange(self._size)
         losses, grad = huber(q[places, samples] - targets, self._config.huber_delta)
         share = active / np.float32(active.size)

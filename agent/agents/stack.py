@@ -38,7 +38,7 @@ class ReplayAgents:
         generators: Sequence[np.random.Generator],
         worlds: int = 1,
     ) -> None:
-        """Makes agents with weights of zero; `load` gives them their first ones."""
+        """Makes agents with weights of zero, each with a generator; `load` gives them others."""
         self.shape, self._config, self._learner = shape, config, learner
         self.worlds = worlds
         self._generators = list(generators)

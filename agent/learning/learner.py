@@ -52,12 +52,12 @@ class Learner:
         proximal_mu: float = 0.0,
         width: int | None = None,
     ) -> None:
-        """Reserves the agents' rows, all zero.
+        """Reserves the rows of n agents, all zero.
 
         Args:
             shape: of each agent's network.
             config: how they learn.
-            discount: at least 0 and below 1.
+            discount: at least 0; 0 spares the forward of next states.
             agents: n.
             proximal_mu: FedProx's mu; 0 leaves the term out.
             width: of a transition's row; that of `RowLayout` if None.
@@ -178,15 +178,7 @@ class Learner:
 
 
 def learning_rate_at(config: AgentConfig, updates: int) -> float:
-    """The learning rate, falling linearly and then constant, or constant from the first.
-
-    Args:
-        config: how an agent learns.
-        updates: that it has taken.
-
-    Returns:
-        Alpha of its next update.
-    """
+    """Alpha after so many updates of an agent: falling linearly and then constant, or constant."""
     if config.learning_rate_end is None:
         return config.learning_rate
     share = min(updates / config.learning_rate_updates, 1.0)
@@ -194,14 +186,9 @@ def learning_rate_at(config: AgentConfig, updates: int) -> float:
 
 
 def contiguous_runs(chosen: Sequence[bool], most: int) -> Iterator[tuple[int, int]]:
-    """Runs [start, stop) of chosen agents that stand side by side.
+    """Runs [start, stop) of chosen agents that stand side by side, first to last.
 
-    Args:
-        chosen: a flag per agent.
-        most: agents in a run; longer ones are cut into even parts.
-
-    Yields:
-        The runs, first to last.
+    Runs of more than `most` are cut into even parts.
     """
     start = None
     for agent, flag in enumerate([*chosen, False]):

@@ -41,10 +41,7 @@ class NetworkShape:
         return sum((inputs + 1) * outputs for inputs, outputs in self.layers)
 
     def matrices(self, flat: Rows) -> list[Rows]:
-        """Each layer's weights with the bias as last row.
-
-        Args:
-            flat: networks' rows, NumPy or torch, shape (..., P).
+        """Each layer's weights with the bias as last row, of rows of shape (..., P).
 
         Returns:
             Views of shape (..., inputs + 1, outputs), one per layer.
@@ -58,10 +55,7 @@ class NetworkShape:
         return found
 
     def views(self, flat: Rows) -> list[tuple[Rows, Rows]]:
-        """Each layer's weights and bias.
-
-        Args:
-            flat: networks' rows, NumPy or torch, shape (..., P).
+        """Each layer's weights and bias, of rows of shape (..., P).
 
         Returns:
             Views (W, b) of shapes (..., inputs, outputs) and (..., outputs), one pair per layer.
@@ -69,14 +63,7 @@ class NetworkShape:
         return [(matrix[..., :-1, :], matrix[..., -1, :]) for matrix in self.matrices(flat)]
 
     def initial_weights(self, generator: np.random.Generator) -> FloatArray:
-        """Draws a network as ``torch.nn.Linear`` does: U(-1/sqrt(inputs), 1/sqrt(inputs)).
-
-        Args:
-            generator: the only source of randomness.
-
-        Returns:
-            The network's row, shape (P,).
-        """
+        """Draws a row, (P,), as ``torch.nn.Linear`` does: U(-1/sqrt(inputs), 1/sqrt(inputs))."""
         flat = np.empty((1, self.parameters), np.float32)
         for matrix in self.matrices(flat):
             bound = 1 / np.sqrt(matrix.shape[1] - 1)
@@ -90,7 +77,7 @@ class NetworkShape:
 
 
 def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray) -> FloatArray:
-    """Action values of several networks, each on its own observations.
+    """Action values Q(s, a) of several networks, each on its own observations; (n, B, actions).
 
     Everything that acts or evaluates goes through here, so that the last bits agree. A network
     gives the same bits whether others stand beside it or not.
@@ -99,9 +86,6 @@ def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray)
         shape: sizes of the networks.
         weights: the networks' rows, shape (n, P).
         observations: shape (n, B, inputs).
-
-    Returns:
-        Q(s, a), shape (n, B, actions).
     """
     return forward(shape.views(weights), observations)
 
@@ -109,15 +93,7 @@ def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray)
 def forward(
     layers: Sequence[tuple[FloatArray, FloatArray]], observations: FloatArray
 ) -> FloatArray:
-    """The same as `q_values`, on views that the caller has kept.
-
-    Args:
-        layers: what `NetworkShape.views` gave.
-        observations: shape (n, B, inputs).
-
-    Returns:
-        Q(s, a), shape (n, B, actions).
-    """
+    """The same as `q_values`, on views that the caller has kept: what `NetworkShape.views` gave."""
     x = observations
     last = len(layers) - 1
     for depth, (weight, bias) in enumerate(layers):

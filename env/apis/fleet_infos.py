@@ -16,6 +16,7 @@ AP = "ap"
 
 Infos = dict[str, dict[str, Any]]
 Columns = dict[str, NDArray[Any]]
+"""Values of infos by name: a row for each world, of all its robots or of the one that is seen."""
 
 
 def slot_columns(world: World, channel: Complexes, outcome: StepResult | None) -> Columns:

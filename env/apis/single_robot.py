@@ -185,11 +185,7 @@ def config_with(others: str, config: EnvConfig | Mapping[str, Any] | None) -> En
 
 
 def everybodys_actions(world: World, action: Ints) -> tuple[Ints, Ints, Ints]:
-    """What is done in B worlds where robot 0 is the agent and oracles play all else.
-
-    Args:
-        world: B worlds; not changed.
-        action: robot 0's, shape (B,).
+    """What is done in B worlds where robot 0 takes the actions (B,) and oracles play all else.
 
     Returns:
         The phases, shape (B,), and all robots' directions and power levels, shape (B, K).

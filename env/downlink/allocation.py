@@ -59,15 +59,12 @@ class Downlink:
         self._power_w = fractions(np.arange(power.levels + 1)) * self.max_power_w
 
     def allocate(self, gain: Floats, picks: Ints, served: Bools) -> Allocation:
-        """Orders the robots, resolves their picks and computes the rates.
+        """Orders the robots, resolves their picks and computes the rates; arrays of shape (B, K).
 
         Args:
-            gain: |h_k|^2, shape (B, K).
-            picks: power levels 1..N_P, shape (B, K); of no effect under OMA.
-            served: whether a robot is served, shape (B, K).
-
-        Returns:
-            The allocation, arrays of shape (B, K).
+            gain: |h_k|^2.
+            picks: power levels 1..N_P; of no effect under OMA.
+            served: whether a robot is served.
         """
         if self._orthogonal:
             return self._allocate_parts(gain, served)

@@ -22,7 +22,7 @@ def fractions(levels: Ints) -> Floats:
 
 
 def scaled_to_budget(fraction: Floats) -> Floats:
-    """Powers p_k / P_max, shape (..., K), times 1 / sum where that is above 1: sum p_k <= P_max."""
+    """Powers p_k / P_max, shape (..., K), over their sum where it is above 1: sum p_k <= P_max."""
     return np.asarray(fraction / np.maximum(fraction.sum(axis=-1, keepdims=True), 1.0))
 
 

@@ -42,7 +42,7 @@ def find(name: str) -> Path | int:
     """The file of a plan, or the seed that it is drawn from.
 
     Args:
-        name: of a built-in plan; ``random:SEED``; or the path of a file.
+        name: of a built-in plan; ``random:SEED``; or the path of a file, from the working folder.
 
     Raises:
         ValueError: there is no such plan and no such file, or the seed is none.

@@ -51,7 +51,8 @@ def free_moves(after: Ints, slots: int, others: Sequence[Ints]) -> Bools:
 def ways_to(after: Ints, goal: int, moves: Bools) -> Bools:
     """From where one first arrives at a goal after exactly the slots that are left.
 
-    Args as of ``free_moves``, which gives ``moves``; by slots gone and cell, shape (T + 1, cells).
+    Args as of ``free_moves``, which gives ``moves``. A table of bool by slots gone and cell, shape
+    (T + 1, cells).
     """
     slots = len(moves)
     ways = np.zeros((slots + 1, len(after)), dtype=bool)

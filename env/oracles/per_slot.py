@@ -109,7 +109,11 @@ def best_phase_and_powers(world: World, weights: Floats | None = None) -> tuple[
 
 
 def best_powers(world: World, phase: Ints, weights: Floats | None = None) -> Ints:
-    """As ``best_phase_and_powers``, the power levels alone, given the AP's actions, shape (B,)."""
+    """As ``best_phase_and_powers``, the power levels alone, given the AP's actions, shape (B,).
+
+    Raises:
+        ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
+    """
     weights = _weights(world, weights)[None]
     best = _nothing_found(world, weights)
     for at, ranked in _searches(world, 1):

@@ -68,16 +68,13 @@ def small_scale_fading(los: Bools, rician_k_db: float, generator: np.random.Gene
 def coherent_response(
     incoming: float, outgoing: Floats, elements: int, subsurfaces: int
 ) -> Complexes:
-    """c_n: the elements of each sub-surface add in phase.
+    """c_n(q) = (M / N) |g| |h|, shape (P, N): the elements of each sub-surface add in phase.
 
     Args:
         incoming: amplitude |g| from the AP to an element.
         outgoing: amplitude |h| from an element to each point, shape (P,).
         elements: M.
         subsurfaces: N, a divisor of M.
-
-    Returns:
-        c_n(q) = (M / N) |g| |h|, shape (P, N).
     """
     each = (elements // subsurfaces) * incoming * outgoing
     return np.repeat(each[:, None], subsurfaces, axis=1).astype(np.complex128)

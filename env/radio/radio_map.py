@@ -45,15 +45,12 @@ class RadioMap:
     codebook: bool = False
 
     def channel(self, cell: Ints, phase_action: Ints, direct: Complexes | None = None) -> Complexes:
-        """The combined channel h_k = h_k Theta g + hbar_k, which enters Eq. (1).
+        """The combined channel h_k = h_k Theta g + hbar_k, which enters Eq. (1), shape (..., K).
 
         Args:
             cell: where the robots are, shape (..., K).
             phase_action: the AP's action, shape (...).
             direct: hbar_k where it is not the map's, shape (..., K).
-
-        Returns:
-            h_k, shape (..., K).
         """
         if self.codebook:
             reflected = self.reflected[cell, phase_action[..., None]]
@@ -84,11 +81,7 @@ def _squared(channel: Complexes) -> Floats:
 
 
 def build_radio_map(config: EnvConfig, floor: Floor | None = None) -> RadioMap:
-    """Builds the tables of a configuration from its ``map_seed``.
-
-    Args:
-        config: the environment.
-        floor: its floor; made if None.
+    """Builds the tables of a configuration from its ``map_seed``; its floor is made if None.
 
     Raises:
         PluginError: the user's channel model or file is not there or does not fit.

@@ -32,7 +32,7 @@ def row_of(network):
         ({"double": True}, 0.8, 0.0),
         ({"huber_delta": 0.2}, 0.0, 0.0),
         ({}, 0.8, 0.05),
-        ({"learning_rate_end": 1e-4, "learning_rate_updates": 150}, 0.8, 0.0),
+        ({"learning_rate_end": 1e-4, "learning_rate_updates": 50}, 0.8, 0.0),
     ],
     ids=["plain", "2x64", "2x128", "double", "no discount", "FedProx", "falling rate"],
 )
@@ -47,7 +47,7 @@ def test_the_learner_agrees_with_the_reference(changes, discount, mu):
         learner.weights[agent], learner.proximal_reference[agent] = row, row
         eager.append(ReferenceDQN(shape, config, discount, rng, row, mu))
     size = config.batch_size
-    for update in range(200):
+    for update in range(80):
         expected = []
         for agent, plain in enumerate(eager):
             layout.pack(
@@ -62,7 +62,7 @@ def test_the_learner_agrees_with_the_reference(changes, discount, mu):
             plain.optimizer.param_groups[0]["lr"] = learning_rate_at(config, update)
             expected.append(plain.update(*(torch.from_numpy(x.copy()) for x in fields)))
         np.testing.assert_allclose(learner.update([True, True]), expected, rtol=1e-4)
-        if update % 50 == 49:
+        if update % 25 == 24:
             for agent, plain in enumerate(eager):
                 plain.copy_to_target()
                 learner.copy_to_target(agent)
@@ -121,7 +121,7 @@ def test_a_soft_target_moves_by_tau_at_every_update():
 def test_fedprox_pulls_towards_the_weights_last_loaded():
     config = small_config()
     shape = shape_of(config)
-    experience = Experience(shape, 1, 300, idle=0)
+    experience = Experience(shape, 1, 150, idle=0)
     drift = []
     for mu in (0.0, 10.0):
         agent = fleet(shape, config, [1], mu=mu)

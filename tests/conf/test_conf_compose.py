@@ -132,26 +132,28 @@ def test_a_joint_agent_for_too_many_robots_is_refused_with_their_number():
     assert compose(["baseline=branching", "env.robots=64", *ALL_TO_ONE_PLACE])
 
 
-def test_powers_that_are_too_many_are_refused_with_their_number():
+def test_powers_that_are_too_many_are_refused_with_their_number(composed):
     with pytest.raises(ConfigError, match="170,016, and at most 100,000 are taken"):
-        compose(["scheme.power=ap", "env.power.levels=24", "env.robots=5"])
+        composed(["scheme.power=ap", "env.power.levels=24", "env.robots=5"])
     with pytest.raises(ConfigError, match=r"658,008 combinations .* at most 200,000 are searched"):
-        compose(["scheme.power=search", "env.power.levels=40", "env.robots=5"])
+        composed(["scheme.power=search", "env.power.levels=40", "env.robots=5"])
     with pytest.raises(ConfigError, match="279,936 combinations"):
-        compose(["scheme.power=search", "env.power.resolve=zero", "env.robots=7"])
+        composed(["scheme.power=search", "env.power.resolve=zero", "env.robots=7"])
     oma = ["env.access=oma", "env.power.levels=2", "env.robots=8"]
+    central = ["runtime.name=local", "strategy.name=none"]
     for power in ("ap", "search"):
-        assert compose([f"scheme.power={power}"]).scheme.power == power
-        assert compose([f"scheme.power={power}", *oma])
-        assert compose([f"scheme.power={power}", "baseline=centralized", "env.robots=3"])
-        assert compose([f"scheme.power={power}", "baseline=branching", "env.robots=4"])
-    assert compose(["scheme.power=search", "env.power.resolve=residual"])
+        assert composed([f"scheme.power={power}"]).scheme.power == power
+        assert composed([f"scheme.power={power}", *oma])
+        for agents, robots in (("centralized", 3), ("branching", 4)):
+            given = [f"scheme.agents={agents}", f"env.robots={robots}"]
+            assert composed([f"scheme.power={power}", *central, *given])
+    assert composed(["scheme.power=search", "env.power.resolve=residual"])
 
 
 @pytest.mark.parametrize(("overrides", "message"), MISTAKES, ids=lambda x: str(x)[:40])
-def test_a_mistake_is_one_sentence_with_the_key_and_what_is_allowed(overrides, message):
+def test_a_mistake_is_one_sentence_with_the_key_and_what_is_allowed(composed, overrides, message):
     with pytest.raises(ConfigError) as caught:
-        compose(overrides)
+        composed(overrides)
     text = str(caught.value)
     assert text.startswith(message)
     assert "\n" not in text
@@ -187,7 +189,6 @@ def test_the_last_of_two_overrides_counts():
 
 
 def test_null_lifts_a_limit():
-    assert compose(["train.max_ticks=100"]).train.max_ticks == 100
     assert compose(["train.max_ticks=100", "train.max_ticks=null"]).train.max_ticks is None
 
 
@@ -274,10 +275,15 @@ def test_a_run_cannot_be_changed_in_place():
         config.federation.link.port = 1
 
 
+@pytest.fixture(scope="module")
+def best():
+    return compose(["experiment=best"])
+
+
 @pytest.mark.parametrize("robots", [1, 2, 3, 4, 6, 8, 16])
-def test_the_best_is_for_any_number_of_robots(robots):
+def test_the_best_is_for_any_number_of_robots(best, robots):
     levels = ["env.power.levels=16"] if robots > 6 else []
-    found = compose(["experiment=best", f"env.robots={robots}", *levels])
+    found = overridden(best, [f"env.robots={robots}", *levels])
     assert found.scheme.agents == "federated"
     assert found.scheme.power == "search"
     assert found.strategy.name != "none"

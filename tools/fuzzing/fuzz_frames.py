@@ -166,6 +166,7 @@ def seeds():
     yield encode(Actions(0, np.array([3], np.int32)))
     yield encode(Weights(1, np.zeros((1, *SHAPE), np.float32)))
     yield encode(Weights(1, np.zeros(SHAPE, np.float32)))
+    yield encode(Weights(1, np.zeros((1, 40), np.uint8)))  # packed
 
 
 def main():

@@ -73,6 +73,7 @@ class Aggregator:
             self._parts = [(strategy, ONLINE), (FedAvg(), TARGET)]
         self._expect(robots)
         self._kept = Kept(strategy)
+        self.restore({})  # as after a resume, in which no two attributes share an array
 
     def aggregate(self, window: int, current: WeightRows, uploads: WeightRows) -> WeightRows:
         """Aggregates one window.

@@ -33,7 +33,7 @@ class Gossip:
         self._config, self._seed = config, seed
 
     def mix(self, window: int, uploads: Weights) -> Weights:
-        """What each robot holds after a window, numbered from 1: shape (K, 2, P), as uploads."""
+        """What each robot holds after a window, from 1: (K, 2, P), as checked uploads."""
         matrix = metropolis(neighbours(self._config, len(uploads), self._seed, window))
         rows = uploads.astype(np.float64)
         mixed = np.zeros_like(rows)

@@ -38,6 +38,8 @@ class FalseStep:
             step = size * rng.standard_normal(step.shape, np.float32)
         elif self._name == "flip":
             step = -step
+        elif self._name != "scale":
+            raise ValueError(f"attack.name={self._name} has no step of its own")
         false = given + self._scale * step
         return np.clip(false, -WEIGHT_LIMIT, WEIGHT_LIMIT).astype(np.float32)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -24,9 +25,10 @@ Weights = NDArray[np.float32]
 State = dict[str, NDArray[Any]]
 
 
-class Combiner:
+class Combiner(ABC):
     """Combines the networks of a window; keeps nothing, and looks at weights alone, by default."""
 
+    @abstractmethod
     def combine(self, window: int, given: Weights, heard: Heard, facts: WindowFacts) -> Weights:
         """What robots go on from, shape (2, P), or each its own, (K, 2, P).
 
@@ -36,16 +38,15 @@ class Combiner:
             heard: the uploads that count, of at least one robot.
             facts: of the window.
         """
-        raise NotImplementedError
 
-    def observed(self, updates: np.ndarray) -> None:
+    def observed(self, updates: np.ndarray) -> None:  # noqa: B027 - most look at weights alone
         """Takes notice of the records of a step, shape (K E,)."""
 
     def state(self) -> State:
         """What it keeps between windows."""
         return {}
 
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:  # noqa: B027 - as above
         """Takes back what ``state`` gave."""
 
 

@@ -16,6 +16,7 @@ robots would keep them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,28 +34,28 @@ Weights = NDArray[np.float32]
 State = Mapping[str, NDArray[Any]]
 
 
-class OwnParts:
+class OwnParts(ABC):
     """Splits networks into what is shared and what is a robot's own; keeps nothing by default."""
 
+    @abstractmethod
     def shared(self, rows: Weights, robots: NDArray[np.intp]) -> Weights:
-        """What is combined of n robots' networks, shape (n, 2, P).
+        """What is combined of the networks of these n robots, shape (n, 2, P).
 
         Of shape (n, 2, P') with P' at most P.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def merged(self, rows: Weights, combined: Weights) -> Weights:
         """All robots' networks, shape (K, 2, P), with what was combined, (2, P'), in them."""
-        raise NotImplementedError
 
-    def observed(self, updates: np.ndarray) -> None:
+    def observed(self, updates: np.ndarray) -> None:  # noqa: B027 - most look at weights alone
         """Takes notice of the records of a step, shape (K E,)."""
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What it keeps between windows."""
         return {}
 
-    def restore(self, state: State) -> None:
+    def restore(self, state: State) -> None:  # noqa: B027 - as above
         """Takes back what ``state`` gave."""
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from env import scenario as scenarios
 from env.checks import checked_config
-from env.mdp.destinations import draw_destinations
 from env.radio import radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -55,8 +54,7 @@ def configured(changes):
 
 def played(config, slots=12):
     """What is seen and gained in a few slots of seven worlds."""
-    destinations = draw_destinations(config, stream(3, Stream.DESTINATIONS))
-    worlds = World(Scenario(config, destinations), stream(3, Stream.WORLD), 7)
+    worlds = World(Scenario.drawn(config, 3), stream(3, Stream.WORLD), 7)
     worlds.reset()
     moves = np.random.default_rng(1)
     found: list[Any] = []
