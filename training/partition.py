@@ -26,14 +26,6 @@ def step_layout(config: Config) -> Layout:
 
 
 def partition_robots(robots: int, clients: int) -> list[Block]:
-    """Deals robots to clients in blocks of neighbours, as even as can be.
-
-    Args:
-        robots: K.
-        clients: 1 to K.
-
-    Returns:
-        The robots of each client.
-    """
+    """Deals K robots to 1 to K clients in blocks of neighbours, as even as can be."""
     parts = np.array_split(np.arange(robots), clients)
     return [tuple(int(robot) for robot in part) for part in parts]

@@ -44,11 +44,7 @@ def checked(overrides: Sequence[str]) -> Config:
 
 
 def checked_training(overrides: Sequence[str]) -> Config:
-    """Composes and checks a configuration in which something learns.
-
-    Raises:
-        ConfigError: a wrong key, value or combination, or nothing learns.
-    """
+    """Composes and checks a configuration in which something learns; errors as ``check``."""
     config = checked(overrides)
     check_trackers(config)
     check_strategies(config)
@@ -61,7 +57,8 @@ def checked_training(overrides: Sequence[str]) -> Config:
 def check_trackers(config: Config) -> None:
     """Checks that the trackers that a run has chosen are installed where it is recorded.
 
-    That of another machine's ServerApp cannot be told from here.
+    Raises:
+        ConfigError: one is not; that of another machine's ServerApp cannot be told from here.
     """
     if config.runtime.connection is None and (found := tracking.problems(config.run)):
         raise ConfigError.of(found)
@@ -88,11 +85,7 @@ def check_strategies(config: Config) -> None:
 
 
 def checked_yaml(text: str) -> Config:
-    """Reads and checks a configuration that a run has written.
-
-    Raises:
-        ConfigError: it does not fit this version.
-    """
+    """Reads and checks a configuration that a run has written; errors as ``check``."""
     return check(from_yaml(text))
 
 

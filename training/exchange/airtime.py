@@ -59,10 +59,7 @@ class Airtime:
         return np.maximum(alone, LEAST_RATE)
 
     def summary(self, measures: Mapping[str, float]) -> dict[str, float]:
-        """What ``summary.json`` says of it.
-
-        Args:
-            measures: what the run's weights are worth, without counting the exchange.
+        """What ``summary.json`` says of it, from measures that do not count the exchange.
 
         Returns:
             ``slots`` that exchanges took, and their ``share`` of all; ``joules`` sent with, and
@@ -95,9 +92,7 @@ class Airtime:
 def left_over(share: float, joules: float, driving_joules: float) -> float:
     """What is left of an energy efficiency once exchanges are counted, as a factor.
 
-    Args:
-        share: of all slots that exchanges take; from 1 on nothing is left.
-        joules: that exchanges are sent with.
-        driving_joules: that robots drive with meanwhile.
+    Exchanges take a share of all slots, of which from 1 on nothing is left, and joules beside
+    those that robots drive with meanwhile.
     """
     return max(0.0, 1.0 - share) / (1.0 + joules / driving_joules if driving_joules else 1.0)

@@ -45,11 +45,7 @@ class FalseStep:
 
 
 class Stale:
-    """What the robot sent in its first window, for ever.
-
-    Attributes:
-        first: that, shape (2, P); None before.
-    """
+    """What the robot sent ``first``, in its first window, for ever."""
 
     def __init__(self) -> None:
         self.first: Weights | None = None

@@ -51,12 +51,7 @@ class Combiner(ABC):
 
 
 class Averaged(Combiner):
-    """A Flower strategy over networks, or over what robots share of them.
-
-    Args:
-        aggregator: the strategy.
-        own: what stays each robot's own; None: nothing.
-    """
+    """A Flower strategy over networks, or over what robots share of them; ``own`` is what not."""
 
     def __init__(self, aggregator: Aggregator, own: OwnParts | None = None) -> None:
         self._aggregator, self._own = aggregator, own

@@ -24,11 +24,7 @@ class WindowFacts:
 
 
 def plain(payload: Payload) -> NDArray[np.float32]:
-    """Weights that were sent as they are.
-
-    Raises:
-        TypeError: they are packed.
-    """
+    """Weights that were sent as they are; a ``TypeError`` if they are packed."""
     if payload.dtype != np.float32:
         raise TypeError("weights are packed where plain ones are due")
     return payload

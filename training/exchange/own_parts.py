@@ -39,24 +39,14 @@ class OwnParts(ABC):
 
     @abstractmethod
     def shared(self, rows: Weights, robots: NDArray[np.intp]) -> Weights:
-        """What is combined of robots' networks.
+        """What is combined of the networks of these n robots, shape (n, 2, P).
 
-        Args:
-            rows: shape (n, 2, P).
-            robots: whose they are, shape (n,).
-
-        Returns:
-            Shape (n, 2, P') with P' at most P.
+        Of shape (n, 2, P') with P' at most P.
         """
 
     @abstractmethod
     def merged(self, rows: Weights, combined: Weights) -> Weights:
-        """All robots' networks with what was combined in them, shape (K, 2, P).
-
-        Args:
-            rows: what they had, shape (K, 2, P).
-            combined: shape (2, P').
-        """
+        """All robots' networks, shape (K, 2, P), with what was combined, (2, P'), in them."""
 
     def observed(self, updates: np.ndarray) -> None:  # noqa: B027 - most look at weights alone
         """Takes notice of the records of a step, shape (K E,)."""

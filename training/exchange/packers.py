@@ -18,11 +18,7 @@ Bytes = NDArray[np.uint8]
 
 
 class Packer(Protocol):
-    """A vector of numbers as a fixed number of bytes.
-
-    Attributes:
-        size: of what is packed, in bytes.
-    """
+    """A vector of numbers as a fixed number of bytes, its ``size``."""
 
     size: int
 

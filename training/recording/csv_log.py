@@ -22,13 +22,7 @@ from training.run_folder import RunFolder
 class CsvLog:
     """A CSV file of numbers that grows by a row at a time.
 
-    Args:
-        path: the file.
-        columns: the names of its columns.
-        kept: rows of an earlier file that stay; what follows them was undone by a resume.
-
-    Attributes:
-        kept: those rows.
+    So many rows of an earlier file stay, and are ``kept``; a resume has undone what follows them.
     """
 
     def __init__(self, path: Path, columns: tuple[str, ...], kept: int = 0) -> None:

@@ -115,9 +115,7 @@ def _panels() -> tuple[Figure, Axes, Axes]:
 def save_rooms_figure(path: Path, rows: Sequence[Mapping[str, float]]) -> None:
     """Draws how many robots arrive in each room over training, and their energy efficiency.
 
-    Args:
-        path: of the picture.
-        rows: of ``rooms.csv``: two for each room and evaluation; the greedy ones are drawn.
+    Of the rows of ``rooms.csv`` the greedy ones are drawn.
     """
     figure, *panels = _panels()
     kinds = ((0, "#2e86de", "trained in"), (1, "#e4572e", "held out"))
