@@ -18,8 +18,8 @@ PLANNED_AGAIN = "planned, reallocate"
 """Under OMA, with the parts of robots that have arrived dealt out again."""
 
 
-class PointOutcome(NamedTuple):
-    """What one run came to, or what was planned for its starts.
+class Of(NamedTuple):
+    """What an outcome is of.
 
     Attributes:
         robots: K.
@@ -28,6 +28,20 @@ class PointOutcome(NamedTuple):
         access: noma or oma.
         curve: learned (with the defaults or ``experiment=best``), planned, or planned with the
             other share of OMA.
+    """
+
+    robots: int
+    side: int
+    max_dbm: int
+    access: str
+    curve: str
+
+
+class PointOutcome(NamedTuple):
+    """What one run came to, or what was planned for its starts.
+
+    Attributes:
+        robots: with the next four as in ``Of``.
         seed: the run's.
         ee: energy efficiency in bit/s/Hz/J, the objective (5a); a robot that does not arrive counts
             with T_max.
@@ -52,29 +66,13 @@ class PointOutcome(NamedTuple):
     greedy_success: float | None = None
 
 
-class Of(NamedTuple):
-    """What an outcome is of, as the first five of ``PointOutcome``."""
-
-    robots: int
-    side: int
-    max_dbm: int
-    access: str
-    curve: str
-
-
 class Point(NamedTuple):
     """A point of the figure.
 
     Attributes:
-        robots: K.
-        side: M_R.
-        max_dbm: P_max in dBm.
-        access: noma or oma.
-        curve: as in ``PointOutcome``.
+        robots: with the next four as in ``Of``.
         seeds: how many.
-        ee: mean over seeds in bit/s/Hz/J.
-        low: of its 95 % bootstrap interval, nan with one seed.
-        high: likewise.
+        ee: mean over seeds in bit/s/Hz/J, and ``low`` and ``high`` the ends of its interval.
         success: mean over seeds.
     """
 
@@ -90,16 +88,21 @@ class Point(NamedTuple):
     success: float
 
 
+def by_setting(found: Sequence[PointOutcome]) -> dict[Of, dict[int, PointOutcome]]:
+    """Outcomes by what they are of and by seed, in the order in which they come."""
+    groups: dict[Of, dict[int, PointOutcome]] = {}
+    for each in found:
+        groups.setdefault(Of(*each[:5]), {})[each.seed] = each
+    return groups
+
+
 def points(found: Sequence[PointOutcome]) -> list[Point]:
     """Means and intervals over seeds, in the order of their first outcome."""
-    groups: dict[Of, list[PointOutcome]] = {}
-    for each in found:
-        groups.setdefault(Of(*each[:5]), []).append(each)
     drawn = []
-    for of, those in groups.items():
-        ee = estimate([each.ee for each in those], mean)
-        success = float(np.mean([each.success for each in those]))
-        drawn.append(Point(*of, ee.count, ee.value, ee.low, ee.high, success))
+    for of, those in by_setting(found).items():
+        ee = estimate([each.ee for each in those.values()], mean)
+        success = float(np.mean([each.success for each in those.values()]))
+        drawn.append(Point(*of, ee.seeds, ee.value, ee.low, ee.high, success))
     return drawn
 
 

@@ -80,7 +80,7 @@ def _draw(changes: Sequence[Change]) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     places = np.arange(len(rows))
     for axes, key, label in ((left, "success", "success"), (right, "ee", "EE in bit/s/Hz/J")):
-        found = [change.differences[key] for change in rows]
+        found = [change.estimates[f"{key}_difference"] for change in rows]
         axes.axvline(0.0, color="#999999", linewidth=0.8)
         for place, each in zip(places, found, strict=True):
             axes.plot([each.low, each.high], [place, place], color="#2e86de", linewidth=2)
@@ -89,7 +89,7 @@ def _draw(changes: Sequence[Change]) -> Figure:
         plain(axes)
     left.set_yticks(places, [change.variant.label for change in rows], fontsize=9)
     left.invert_yaxis()
-    seeds = max(change.values["success"].count for change in changes)
+    seeds = max(change.estimates["success"].seeds for change in changes)
     figure.suptitle(
         f"K = 3, one thing changed: interquartile mean of {seeds} paired differences, 95 %"
         " bootstrap interval",

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from experiments.reproduce.results.runs import Run
 from experiments.reproduce.targets.bytes import packed
-from experiments.reproduce.targets.comparison import Comparison, Variant
+from experiments.reproduce.targets.comparison import Column, Comparison, Variant
 from experiments.reproduce.targets.plan import THREE_SEEDS
 from training.exchange.airtime import left_over
 
@@ -66,9 +66,8 @@ TARGET = Comparison(
     THREE_SEEDS,
     quick_common=(),
     extra={
-        "slots lost, %": _lost,
-        **{f"EE at {name}": _counted(each) for name, each in BANDS.items()},
+        "slots lost, %": Column(_lost, ".3f"),
+        **{f"EE at {name}": Column(_counted(each), ".4f") for name, each in BANDS.items()},
     },
-    formats={"slots lost, %": ".3f", **{f"EE at {name}": ".4f" for name in BANDS}},
     note=NOTE,
 )

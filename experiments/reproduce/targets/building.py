@@ -17,14 +17,7 @@ from conf import Config, ap_network, robot_network
 from conf.rooms import Room
 from experiments.analysis.optimality_gap import shortest_best_measures
 from experiments.analysis.rooms import of_room
-from experiments.reproduce.results.output import (
-    QUICK,
-    Row,
-    plain,
-    save_figure,
-    write_csv,
-    write_table,
-)
+from experiments.reproduce.results.output import plain, save_figure, write_csv, write_table
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.results.statistics import Estimate, estimate
 from experiments.reproduce.targets.plan import Cell
@@ -46,18 +39,6 @@ OWN = "R = 16, access points not averaged"
 PART = "R = 16, a third of the rooms missing in each round"
 OPEN = "R = 64, the default plan, map seeds apart"
 
-HEADER = (
-    "rooms",
-    "success, held-out",
-    "EE there, % of the rule's",
-    f"after {ADAPTED} ticks there: success",
-    "EE, %",
-    "success, trained in",
-    "EE there, %",
-    "joint steps, 1000",
-    "between rooms, MB",
-    "CPU s",
-)
 NOTE = (
     "Frozen final weights, greedy, in {held_out} held-out rooms and in at most as many of those"
     " trained in, 50 held-out starts each; EE is objective (5a), and the rule drives shortest ways"
@@ -67,17 +48,17 @@ NOTE = (
     " training run with its evaluations, local learning apart."
 )
 MEASURES = {
-    "success": (".3f", 1.0),
-    "ee_share": (".1f", 100.0),
-    "adapted_success": (".3f", 1.0),
-    "adapted_share": (".1f", 100.0),
-    "trained_success": (".3f", 1.0),
-    "trained_share": (".1f", 100.0),
-    "steps": (".0f", 1e-3),
-    "megabytes": (".1f", 1.0),
-    "cpu_s": (".0f", 1.0),
+    "success": ("success, held-out", ".3f", 1.0),
+    "ee_share": ("EE there, % of the rule's", ".1f", 100.0),
+    "adapted_success": (f"after {ADAPTED} ticks there: success", ".3f", 1.0),
+    "adapted_share": ("EE, %", ".1f", 100.0),
+    "trained_success": ("success, trained in", ".3f", 1.0),
+    "trained_share": ("EE there, %", ".1f", 100.0),
+    "steps": ("joint steps, 1000", ".0f", 1e-3),
+    "megabytes": ("between rooms, MB", ".1f", 1.0),
+    "cpu_s": ("CPU s", ".0f", 1.0),
 }
-"""How each is written, and times what."""
+"""Its column's title, how each is written, and times what."""
 
 
 class BuildingOutcome(NamedTuple):
@@ -135,16 +116,16 @@ class Building:
         """See ``Target``."""
         found = [outcome(name, run) for name, each in runs.items() for run in each.values()]
         made = estimates(found)
-        rows: list[Row] = [
-            (name, *(measured[key].text(*how) for key, how in MEASURES.items()))
+        rows = [
+            (name, *(measured[key].text(form, scale) for key, (_, form, scale) in MEASURES.items()))
             for name, measured in made.items()
         ]
+        header = ("rooms", *(title for title, *_ in MEASURES.values()))
         seeds = ", ".join(map(str, sorted({each.seed for each in found})))
         note = NOTE.format(held_out=HELD_OUT, seeds=seeds)
-        note = f"{note} {QUICK.capitalize()}." if quick else note
         return [
             *save_figure(_drawn(made), out, self.name, quick=quick),
-            write_table(out / "building.md", HEADER, rows, note),
+            write_table(out / "building.md", header, rows, note, quick=quick),
             write_csv(out / "building_runs.csv", BuildingOutcome._fields, found),
         ]
 
@@ -247,12 +228,8 @@ def _drawn(made: Estimates) -> Figure:
             (f"trained_{measure}", "rooms trained in"),
         )
         for (key, name), marker in zip(lines, "osd", strict=True):
-            points = [made[ROOMS.format(count)][key] for count in counts]
-            scale = 100.0 if measure == "share" else 1.0
-            value, low, high = (
-                scale * np.array([getattr(point, end) for point in points])
-                for end in ("value", "low", "high")
-            )
+            points = np.array([made[ROOMS.format(count)][key][:3] for count in counts])
+            value, low, high = points.T * (100.0 if measure == "share" else 1.0)
             panel.errorbar(
                 counts, value, (value - low, high - value), marker=marker, capsize=3, label=name
             )

@@ -13,6 +13,7 @@ from experiments.reproduce.results.points import (
     PLANNED_AGAIN,
     Of,
     PointOutcome,
+    by_setting,
     mean,
 )
 from experiments.reproduce.results.statistics import Floats, estimate
@@ -49,9 +50,10 @@ def fig4_claims(found: Sequence[PointOutcome]) -> list[Claim]:
     Returns:
         A claim for each that some of the settings bear on.
     """
-    by: dict[Of, dict[int, float]] = {}
-    for each in found:
-        by.setdefault(Of(*each[:5]), {})[each.seed] = each.ee
+    by = {
+        of: {seed: outcome.ee for seed, outcome in by_seed.items()}
+        for of, by_seed in by_setting(found).items()
+    }
     claims: list[Claim | None] = []
     for curve in (LEARNED, BEST, PLANNED):  # the best is there for some of the settings
         drawn = (PLANNED, PLANNED_AGAIN) if curve == PLANNED else (curve,)
@@ -83,25 +85,13 @@ def _of_curve(by: By, curve: str) -> Iterator[Claim | None]:
 def claim(
     says: str, where: str, measure: str, pairs: Pairs, form: str = "+.1f", *, above: bool = True
 ) -> Claim | None:
-    """A claim that differences lie above zero, or below.
-
-    Args:
-        says: its content.
-        where: it stands in the paper; empty if the paper does not make it.
-        measure: what the differences are.
-        pairs: one for each setting, all of the same seeds.
-        form: how a difference is written.
-        above: whether they ought to be positive.
-
-    Returns:
-        None where nothing was compared.
-    """
+    """A claim that differences lie above zero, or below; None where nothing was compared."""
     each = list(pairs)
     if not each:
         return None
     checks = [Check(setting, estimate(values, mean), above=above) for setting, values in each]
     pooled = estimate(np.mean([values for _, values in each], axis=0), mean)
-    return Claim(says, where, "", measure, checks, pooled, form)
+    return Claim(says, measure, checks, where, pooled=pooled, form=form)
 
 
 def _noma(by: By, curve: str, rival: str) -> Pairs:
@@ -135,10 +125,7 @@ def _with_ris(by: By, curve: str) -> Pairs:
 def _flattening(by: By, curve: str, *, a_row: bool) -> Pairs:
     """With few robots, the step in M_R above the knee less the one below, in % of the EE below.
 
-    Args:
-        by: EE.
-        curve: learned or planned.
-        a_row: whether a step is divided by the rows of elements that it adds.
+    With ``a_row`` a step is divided by the rows of elements that it adds.
     """
     sides = sorted({of.side for of in by})
     if KNEE not in sides[1:-1]:

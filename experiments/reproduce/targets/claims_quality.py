@@ -10,7 +10,7 @@ from experiments.reproduce.results.points import LEARNED, PLANNED
 from experiments.reproduce.results.statistics import Floats
 from experiments.reproduce.results.verdicts import Claim
 from experiments.reproduce.targets.claims_efficiency import KNEE, Pairs, claim
-from experiments.reproduce.targets.fig5 import Values
+from experiments.reproduce.targets.fig5 import Fig5Measures
 
 WHERE = "Section IV on Fig. 5"
 QOS, QOE = "qos", "qoe"
@@ -20,7 +20,7 @@ Held = Mapping[tuple[str, int, str], Floats]
 """A measure by metric, M_R and name, shape (seeds,)."""
 
 
-def fig5_claims(rows: Sequence[Values]) -> list[Claim]:
+def fig5_claims(rows: Sequence[Fig5Measures]) -> list[Claim]:
     """What the paper says of Fig. 5, of learned policies and of planned ones.
 
     Args:
@@ -29,21 +29,14 @@ def fig5_claims(rows: Sequence[Values]) -> list[Claim]:
     Returns:
         A claim for each that some of the settings bear on.
     """
-    claims = [
-        claim
-        for policy in (LEARNED, PLANNED)
-        for claim in _of_policy(_held([row for row in rows if row["policy"] == policy]), policy)
-    ]
+    claims: list[Claim | None] = []
+    for policy in (LEARNED, PLANNED):
+        found: dict[tuple[str, int, str], list[float]] = {}
+        for row in sorted((r for r in rows if r.policy == policy), key=lambda row: row.seed or 0):
+            for name in ("ee", "min_rate", "gain_db"):
+                found.setdefault((row.metric, row.side, name), []).append(getattr(row, name))
+        claims += _of_policy({of: np.array(values) for of, values in found.items()}, policy)
     return [claim for claim in claims if claim is not None]
-
-
-def _held(rows: Sequence[Values]) -> Held:
-    found: dict[tuple[str, int, str], list[float]] = {}
-    for row in sorted(rows, key=lambda row: int(str(row["seed"]))):
-        for name in ("ee", "min_rate", "gain_db"):
-            of = str(row["metric"]), int(str(row["side"])), name
-            found.setdefault(of, []).append(float(str(row[name])))
-    return {of: np.array(values) for of, values in found.items()}
 
 
 def _of_policy(held: Held, policy: str) -> Iterator[Claim | None]:
@@ -88,22 +81,18 @@ def _ratio(held: Held, name: str, metric: str) -> Pairs:
         yield _at(side), 100.0 * (held[metric, side, name] / held[other, side, name] - 1.0)
 
 
-def _better_db(held: Held, side: int) -> Floats:
-    return np.asarray(held[QOS, side, "gain_db"] - held[QOE, side, "gain_db"])
-
-
 def _channels(held: Held) -> Pairs:
+    """By how many dB QoS's channels are better than QoE's."""
     for side in _sides(held):
-        yield _at(side), _better_db(held, side)
+        yield _at(side), held[QOS, side, "gain_db"] - held[QOE, side, "gain_db"]
 
 
 def _wider(held: Held) -> Pairs:
-    small, large = ([s for s in _sides(held) if (s > KNEE) == above] for above in (False, True))
+    better_db = dict(zip(_sides(held), (db for _, db in _channels(held)), strict=True))
+    small = [db for side, db in better_db.items() if side <= KNEE]
+    large = [db for side, db in better_db.items() if side > KNEE]
     if small and large:
-        means = [
-            np.mean([_better_db(held, side) for side in part], axis=0) for part in (small, large)
-        ]
-        yield {"M_R": f"M_R > {KNEE}"}, means[1] - means[0]
+        yield {"M_R": f"M_R > {KNEE}"}, np.mean(large, axis=0) - np.mean(small, axis=0)
 
 
 def _improved(held: Held) -> Pairs:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.reproduce.results.output import write_csv, write_table
+from experiments.reproduce.results.output import write_table
 from experiments.reproduce.results.points import (
     BEST,
     LEARNED,
@@ -17,6 +17,7 @@ from experiments.reproduce.results.points import (
     Of,
     Point,
     PointOutcome,
+    by_setting,
     mean,
 )
 from experiments.reproduce.results.statistics import Estimate, estimate
@@ -24,20 +25,15 @@ from experiments.reproduce.results.statistics import Estimate, estimate
 AXES = {"robots": "K = {} over {}", "side": "M_R = {} over {}", "max_dbm": "{} over {} dBm"}
 
 
-class Comparison(NamedTuple):
+class Neighbour(NamedTuple):
     """By how much EE is larger than that of a neighbour, all else being equal.
 
     Attributes:
         what: what is compared, such as NOMA over OMA.
-        robots: K, as the next four of the one that is larger, or smaller.
-        side: M_R.
-        max_dbm: P_max in dBm.
-        access: noma or oma.
-        curve: learned or planned.
+        robots: with the next four as in ``Of``, of the one that is larger, or smaller.
         seeds: how many pairs.
-        percent: the mean over seeds of the relative difference, each of the same starts.
-        low: of its 95 % bootstrap interval, nan with one seed.
-        high: likewise.
+        percent: the mean over seeds of the relative difference, each of the same starts; ``low``
+            and ``high`` are the ends of its interval.
         least_success: the smaller one of both mean successes.
     """
 
@@ -67,16 +63,9 @@ def write_points(file: Path, drawn: Sequence[Point], note: str) -> Path:
     return write_table(file, header, cells, f"EE in bit/s/Hz/J. {note}")
 
 
-def write_comparisons(file: Path, found: Sequence[PointOutcome]) -> Path:
-    """Writes every comparison of neighbours."""
-    return write_csv(file, Comparison._fields, comparisons(found))
-
-
-def comparisons(found: Sequence[PointOutcome]) -> list[Comparison]:
+def neighbours(found: Sequence[PointOutcome]) -> list[Neighbour]:
     """NOMA over OMA, and each K, M_R and P_max over the next smaller one."""
-    groups: dict[Of, dict[int, PointOutcome]] = {}
-    for each in found:
-        groups.setdefault(Of(*each[:5]), {})[each.seed] = each
+    groups = by_setting(found)
     return [
         _compared(what, ours, groups[ours], groups[theirs])
         for ours in groups
@@ -102,8 +91,8 @@ def _neighbours(ours: Of, there: Sequence[Of]) -> Iterator[tuple[str, Of]]:
 
 def _compared(
     what: str, of: Of, ours: dict[int, PointOutcome], theirs: dict[int, PointOutcome]
-) -> Comparison:
+) -> Neighbour:
     pairs = [(ours[seed], theirs[seed]) for seed in ours if seed in theirs]
     found = estimate([100.0 * (one.ee / other.ee - 1.0) for one, other in pairs], mean)
     success = min(np.mean([each.success for each in side]) for side in zip(*pairs, strict=True))
-    return Comparison(what, *of, found.count, found.value, found.low, found.high, float(success))
+    return Neighbour(what, *of, found.seeds, found.value, found.low, found.high, float(success))

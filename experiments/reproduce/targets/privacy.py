@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from experiments.reproduce.results.runs import Run
-from experiments.reproduce.targets.comparison import NOTE, Comparison, Variant
+from experiments.reproduce.targets.comparison import NOTE, Column, Comparison, Variant
 from experiments.reproduce.targets.plan import THREE_SEEDS
 from training.exchange.accounting import ACCOUNTANT
 
@@ -28,7 +28,6 @@ VARIANTS = (
         "federation.every=100 strategy/dp=central strategy.dp.noise=0.1 strategy.dp.clip=0.2",
     ),
 )
-"""The first is what the others are compared with."""
 
 
 def epsilon(run: Run) -> float:
@@ -37,18 +36,12 @@ def epsilon(run: Run) -> float:
     return math.nan if spent is None else float(spent)
 
 
-def releases(run: Run) -> float:
-    """Windows after which weights were averaged."""
-    return float(run.summary["windows"])
-
-
 TARGET = Comparison(
     "privacy",
     VARIANTS,
     ("env.robots=3", f"train.max_ticks={TICKS}", EXPLORING),
     THREE_SEEDS,
     ("train.max_ticks=5000",),
-    {"ε": epsilon, "releases": releases},
-    {"ε": ",.0f", "releases": ".0f"},
+    {"ε": Column(epsilon, ",.0f"), "releases": Column(lambda run: run.summary["windows"], ".0f")},
     f"{NOTE} ε at δ = 1e-5 over all releases of a run, by the {ACCOUNTANT} (-: no noise).",
 )

@@ -29,7 +29,7 @@ def check(
 
 
 def claim(*checks: Check) -> Claim:
-    return Claim("says", "where", "", "measure", checks)
+    return Claim("says", "measure", checks)
 
 
 HOLDS, FAILS, OPEN = (0.1, 0.3), (-0.3, -0.1), (-0.1, 0.3)
@@ -85,7 +85,7 @@ def test_a_claim_depends_on_the_axis_that_settles_it() -> None:
 def test_a_claim_shows_each_number_or_one_for_all() -> None:
     each = claim(check(0.25, 0.75, K="2"), check(1.5, 2.5, K="3"))
     assert each.ours == "2: 0.5 (0.2 to 0.8); 3: 2.0 (1.5 to 2.5)"
-    pooled = Claim("", "", "", "", each.checks, Estimate(0.12, 0.1, 0.2, 3), ".0f", 100.0)
+    pooled = Claim("", "", each.checks, pooled=Estimate(0.12, 0.1, 0.2, 3), form=".0f", scale=100.0)
     assert pooled.ours == "12 (10 to 20)"
 
 
@@ -129,21 +129,25 @@ def test_planned_policies_are_judged_by_themselves() -> None:
 
 
 def test_claims_on_qoe_follow_from_the_measures() -> None:
-    rows: list[fig5.Values] = [
-        {
-            "policy": LEARNED,
-            "metric": metric,
-            "side": side,
-            "seed": seed,
-            "ee": 1.2 if metric == "qos" else 1.0 + seed / 10,
-            "min_rate": 3.0 if metric == "qoe" else 2.0,
-            "gain_db": -90 + side / 10 + (1 if metric == "qos" and side > 20 else 0),
-        }
+    rows = [
+        fig5.Fig5Measures(
+            side=side,
+            metric=metric,
+            policy=LEARNED,
+            starts=fig5.HELD_OUT,
+            seed=seed,
+            ee=1.2 if metric == "qos" else 1.0 + seed / 10,
+            sum_rate=5.0,
+            min_rate=3.0 if metric == "qoe" else 2.0,
+            success=1.0,
+            path_ratio=1.0,
+            gain_db=-90 + side / 10 + (1 if metric == "qos" and side > 20 else 0),
+        )
         for metric in ("qos", "qoe")
         for side in (0, 20, 30)
         for seed in (0, 1)
     ]
-    found = verdicts(fig5_claims([*rows, *({**row, "policy": PLANNED} for row in rows)]))
+    found = verdicts(fig5_claims([*rows, *(row._replace(policy=PLANNED) for row in rows)]))
     assert found["QoS has a higher EE than QoE"] == "holds"
     assert found["with QoE the worst robot has a higher rate than with QoS"] == "holds"
     channels = "QoS keeps better channels than QoE"
@@ -185,7 +189,6 @@ def test_the_command_writes_every_claim_and_every_check(
     monkeypatch.setattr(fig4, "QUICK_SIDES", (0, 30))
     monkeypatch.setattr(fig4, "QUICK_POWERS_DBM", (20,))
     monkeypatch.setattr(fig5, "QUICK_SIDES", (30,))
-    monkeypatch.setattr(claims.TARGET, "_processes", 1)
     own = ("run.", "runtime", "train.max_ticks", "env.ris.side", "evaluation.episodes")
     keys = [item for item in tiny_overrides if not item.startswith(own)]
     command = ["reproduce", "claims", "--quick", "--out", str(tmp_path), "hydra/launcher=basic"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from env.oracles.trajectory import best_trajectory
 from experiments.analysis import optimality_gap
 from experiments.analysis import played as along
 from experiments.analysis.optimality_gap import SLACK
+from experiments.analysis.played import PlayedEpisodes
 from experiments.reproduce.results import planning
 from experiments.reproduce.results.points import (
     BEST,
@@ -29,7 +29,7 @@ from experiments.reproduce.results.points import (
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.targets import fig4, fig5
 from experiments.reproduce.targets.fig4_drawing import draw
-from experiments.reproduce.targets.fig4_tables import comparisons
+from experiments.reproduce.targets.fig4_tables import neighbours
 from experiments.reproduce.targets.fig5_drawing import Shown, draw_along, draw_ways
 from experiments.reproduce.targets.plan import COMMON, Cell, cell_folder, configs, with_overrides
 from experiments.runtimes import local
@@ -122,7 +122,7 @@ def test_figures_share_the_runs_that_both_need() -> None:
 
 
 def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_path: Path) -> None:
-    files = fig4.Fig4(processes=1).report(runs_of_fig4, tmp_path, quick=True)
+    files = fig4.TARGET.report(runs_of_fig4, tmp_path, quick=True)
     assert all(file.is_file() for file in files)
     check_pictures(files, ["fig4"])
     drawn = rows_of(tmp_path / "fig4.csv")
@@ -150,15 +150,15 @@ def test_planned_values_are_the_trajectory_oracles_and_are_kept(
     run = runs_of_fig4[fig4.Fig4Setting(3, 30, 10, "oma").name][10]
     again = overridden(run.config, ["env.oma.share=reallocate"])
     file = tmp_path / "planned.csv"
-    values = planning.planned_values([run.config, again, run.config], file, processes=1)
+    values = planning.planned_values([run.config, again, run.config], file)
     for config, value in zip((run.config, again), values, strict=False):
         expected = optimality_gap.trajectory_measures(Evaluator(config), SLACK).summary()
-        assert dataclasses.asdict(value).items() >= {
+        assert value._asdict().items() >= {
             (name, expected[name]) for name in ("ee", "sum_rate", "min_rate", "path_ratio")
         }
     assert values[1].ee > values[0].ee == values[2].ee
     monkeypatch.setattr(planning, "_row", lambda config: pytest.fail("was worked out again"))
-    assert planning.planned_values([again, run.config], file, 1) == [values[1], values[0]]
+    assert planning.planned_values([again, run.config], file) == [values[1], values[0]]
 
 
 def test_planned_values_outlast_an_interrupt(
@@ -174,7 +174,7 @@ def test_planned_values_outlast_an_interrupt(
 
     monkeypatch.setattr(planning, "_row", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        planning.planned_values([first, second], tmp_path / "planned.csv", processes=1)
+        planning.planned_values([first, second], tmp_path / "planned.csv")
     assert [row["seed"] for row in rows_of(tmp_path / "planned.csv")] == ["1"]
 
 
@@ -185,46 +185,49 @@ def test_what_agents_see_and_are_paid_changes_no_plan(
     others = {"env.state.way": "on", "env.state.others": 2, "env.reward.credit": "difference"}
     best = tiny({"evaluation.episodes": 2, **others})
     expected = optimality_gap.trajectory_measures(Evaluator(best), SLACK).summary()
-    (value,) = planning.planned_values([config], file, 1)
+    (value,) = planning.planned_values([config], file)
     assert value.ee == expected["ee"]
     assert value.ee_bits_per_joule == expected["ee_bits_per_joule"]
     monkeypatch.setattr(planning, "_row", lambda config: pytest.fail("was worked out again"))
-    assert planning.planned_values([best], file, 1) == [value]
+    assert planning.planned_values([best], file) == [value]
 
 
 def test_a_file_of_plans_that_lacks_a_measure_is_filled(tiny: Any, tmp_path: Path) -> None:
     file, config = tmp_path / "planned.csv", tiny({"evaluation.episodes": 2})
-    whole = planning.planned_values([config], file, 1)
+    whole = planning.planned_values([config], file)
     rows = [{k: v for k, v in row.items() if k != "ee_bits_per_joule"} for row in rows_of(file)]
     with file.open("w", newline="") as text:
         writer = csv.DictWriter(text, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    assert planning.planned_values([config], file, 1) == whole
+    assert planning.planned_values([config], file) == whole
     assert len(rows_of(file)) == 1
 
 
 def test_what_cannot_be_planned_is_said_in_a_sentence(tiny: Any, tmp_path: Path) -> None:
     config = tiny({"env.channel.fading": "slot"})
     with pytest.raises(ConfigError, match=r"env\.channel\.fading=slot: allowed is static or none"):
-        planning.planned_values([config], tmp_path / "planned.csv", processes=1)
+        planning.planned_values([config], tmp_path / "planned.csv")
 
 
 @pytest.mark.slow
-def test_several_processes_plan_what_one_does(tiny: Any, tmp_path: Path) -> None:
+def test_several_processes_plan_what_one_does(
+    tiny: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tasks = [tiny({"seed": seed, "evaluation.episodes": 2}) for seed in (0, 1, 2)]
-    alone = planning.planned_values(tasks, tmp_path / "alone.csv", processes=1)
-    assert planning.planned_values(tasks, tmp_path / "many.csv", processes=2) == alone
+    alone = planning.planned_values(tasks, tmp_path / "alone.csv")
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    assert planning.planned_values(tasks, tmp_path / "many.csv") == alone
     assert (tmp_path / "many.csv").read_text() == (tmp_path / "alone.csv").read_text()
 
 
 def test_other_starts_are_planned_anew_and_replace_no_other_line(tiny: Any, tmp_path: Path) -> None:
     file = tmp_path / "planned.csv"
     few = {"evaluation.episodes": 2}
-    (one,) = planning.planned_values([tiny(few)], file, 1)
-    (other,) = planning.planned_values([tiny(few | {"seed": 1})], file, 1)
+    (one,) = planning.planned_values([tiny(few)], file)
+    (other,) = planning.planned_values([tiny(few | {"seed": 1})], file)
     assert one != other
-    (walls,) = planning.planned_values([tiny(few | {"env.map_seed": 5})], file, 1)
+    (walls,) = planning.planned_values([tiny(few | {"env.map_seed": 5})], file)
     assert walls != one
     assert [row["seed"] for row in rows_of(file)] == ["0", "1"]  # the same setting, another map
 
@@ -262,7 +265,7 @@ def test_comparisons_pair_seeds_and_take_the_next_smaller_neighbour() -> None:
         outcome(ee, seed, 0.8, access="oma") for seed, ee in reversed([*enumerate((0.1, 0.2))])
     ]
     found += [outcome(0.1, seed, side=side) for seed in (0, 1) for side in (0, 10)]
-    made = {(each.what, each.side): each for each in comparisons(found) if each.access == "noma"}
+    made = {(each.what, each.side): each for each in neighbours(found) if each.access == "noma"}
     assert set(made) == {
         ("NOMA over OMA", 20),
         ("M_R = 20 over 10", 20),
@@ -276,7 +279,7 @@ def test_comparisons_pair_seeds_and_take_the_next_smaller_neighbour() -> None:
 
 def test_the_best_is_compared_with_the_defaults_and_drawn_with_its_own_mark() -> None:
     found = [outcome(0.1), outcome(0.15, curve=BEST)]
-    (made,) = comparisons(found)
+    (made,) = neighbours(found)
     assert (made.what, made.curve) == ("best over the defaults", BEST)
     assert made.percent == pytest.approx(50.0)
     figure = draw(points(found), "")
@@ -325,7 +328,7 @@ def test_a_planned_drive_is_worth_what_its_plan_says(tiny: Any) -> None:
 
 
 def test_fig_5_writes_every_slot_and_every_measure(runs_of_fig5: Runs, tmp_path: Path) -> None:
-    files = fig5.Fig5(processes=1).report(runs_of_fig5, tmp_path, quick=True)
+    files = fig5.TARGET.report(runs_of_fig5, tmp_path, quick=True)
     assert all(file.is_file() for file in files)
     check_pictures(files, ["fig5", "fig5_along", "fig5_planned", "fig5_planned_along"])
     measures = rows_of(tmp_path / "fig5_measures.csv")
@@ -354,9 +357,12 @@ def test_a_robot_that_does_not_arrive_is_crossed(tiny: Any) -> None:
     def crosses(axes: Axes) -> int:
         return sum(line.get_marker() == "X" for line in axes.lines)
 
-    arrives = draw_ways([Shown(4, "qos", there), Shown(4, "qoe", there)], "")
-    misses = draw_ways([Shown(4, "qos", there), Shown(4, "qoe", stuck)], "")
+    def shown(qoe: PlayedEpisodes) -> list[Shown]:
+        drives = {"qos": there, "qoe": qoe}
+        return [Shown(4, metric, PLANNED, None, drive) for metric, drive in drives.items()]
+
+    arrives, misses = (draw_ways(shown(qoe), "") for qoe in (there, stuck))
     assert crosses(arrives.axes[0]) == 0
     assert crosses(misses.axes[0]) == 3
-    lines = draw_along([Shown(4, "qos", there), Shown(4, "qoe", stuck)], "").axes
+    lines = draw_along(shown(stuck), "").axes
     assert [len(axes.lines) for axes in lines] == [6, 6]
