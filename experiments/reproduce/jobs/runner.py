@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 from rich.console import Console
@@ -62,17 +61,7 @@ def train(
     """
     build_launcher(print, hydra, plan.store, 1)  # before anything is made
     plan.store.mkdir(parents=True, exist_ok=True)
-    with alone(plan.store):
+    busy = "--out", plan.store.parent, "a folder in which nothing is being reproduced"
+    with folder_lock(plan.store, busy):
         runs = list(plan.configs.values())
         return batch.train(runs, plan.store, console, hydra, workers, empties=True)
-
-
-def alone(store: Path) -> AbstractContextManager[None]:
-    """Holds the folder of all runs.
-
-    Raises:
-        ConfigError: another process holds it.
-    """
-    return folder_lock(
-        store, ("--out", store.parent, "a folder in which nothing is being reproduced")
-    )

@@ -26,6 +26,7 @@ from experiments.cli import main
 from experiments.reproduce.jobs.runner import Plan, train
 from experiments.reproduce.targets.plan import Cell
 from experiments.runtimes import local, runner
+from experiments.runtimes.folders import folder_lock
 from training.run_folder import RunFolder
 
 HERE = ["hydra/launcher=basic"]
@@ -193,10 +194,9 @@ def test_jobs_are_launched_again_where_their_launcher_broke(
 
 
 def test_two_calls_do_not_train_in_one_folder(plan: Plan) -> None:
-    from experiments.reproduce.jobs.runner import alone
-
     plan.store.mkdir(parents=True)
-    with alone(plan.store), pytest.raises(ConfigError, match="nothing is being reproduced"):
+    other = folder_lock(plan.store, ("--out", plan.store, "another"))
+    with other, pytest.raises(ConfigError, match="nothing is being reproduced"):
         trained(plan)
 
 
