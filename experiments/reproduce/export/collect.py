@@ -34,13 +34,10 @@ from training.run_folder import RunFolder
 WEIGHTS = {
     **{f"k{robots}": ("fig3", FEDERATED.format(robots)) for robots in (2, 3, 4)},
     **{
-        f"k{robots}-best": (optimality.TARGET.name, optimality.named(optimality.BEST, robots))
+        f"k{robots}-best": ("optimality", optimality.named(optimality.BEST, robots))
         for robots in optimality.ROBOTS
     },
-    f"building-{building.COUNTS[-1]}": (
-        building.TARGET.name,
-        building.ROOMS.format(building.COUNTS[-1]),
-    ),
+    f"building-{building.COUNTS[-1]}": ("building", building.ROOMS.format(building.COUNTS[-1])),
 }
 """Folders of weights, and the targets and their cells whose first seed they are of."""
 
@@ -84,10 +81,8 @@ def export(source: Path, results: Path, others: Mapping[str, Path]) -> list[Path
     manifests = _manifests(source)
     results.mkdir(parents=True, exist_ok=True)
     files = [path for each in manifests.values() for path in _copied(each, source, results)]
-    rows: list[Row] = []
-    for target, manifest in manifests.items():
-        if target != "claims":  # its cells are those of figures
-            rows += _first_episodes(target, manifest, source)
+    own = {name: each for name, each in manifests.items() if name != "claims"}  # figures' cells
+    rows = [row for name, each in own.items() for row in _first_episodes(name, each, source)]
     files.append(repeat.write(results, rows))
     players = _players(manifests, source, others)
     for player in players:

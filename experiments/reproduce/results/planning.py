@@ -62,11 +62,8 @@ def planned_values(configs: Sequence[Config], file: Path) -> list[Planned]:
     file holds is not worked out again; each value is written as soon as it is there.
 
     Args:
-        configs: of runs.
+        configs: of runs; the values have their order.
         file: a CSV file, made where it is missing.
-
-    Returns:
-        The values, in the order of ``configs``.
 
     Raises:
         ConfigError: no plan can be made: channels change in each slot, or time is too short.
@@ -101,8 +98,7 @@ def _worked_out(missing: dict[str, Config]) -> Iterator[Row]:
         return
     show, processes = Console(stderr=True), min(os.cpu_count() or 1, len(missing))
     if processes < 2:
-        for config in track(missing.values(), "planning trajectories", console=show):
-            yield _row(config)
+        yield from map(_row, track(missing.values(), "planning trajectories", console=show))
         return
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(processes, context, single_threaded)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -116,11 +117,10 @@ def converged(times: ConvergenceTimes) -> Estimate:
     With runs that never converged it is a lower bound, unless they are the quarter that is left
     out; so is the lower end of its interval, and the upper one may be open.
     """
-    early, late = _resampled(times.values), _resampled(times.latest)
-    value = float(iqm(times.values))
-    bound = "" if float(iqm(times.latest)) == value else "≥"
-    seeds = len(times.values)
-    low, high = _interval(iqm(early), seeds)[0], _interval(iqm(late), seeds)[1]
+    value, seeds = float(iqm(times.values)), len(times.values)
+    bound = "" if iqm(times.latest) == value else "≥"
+    low, _ = _interval(iqm(_resampled(times.values)), seeds)
+    _, high = _interval(iqm(_resampled(times.latest)), seeds)
     return Estimate(value, low, high, seeds, bound)
 
 
@@ -130,27 +130,17 @@ def reduction(ours: ConvergenceTimes, theirs: ConvergenceTimes) -> Estimate:
     With rivals that never converged it is at least that, with runs of ours at most, with both
     unknown.
     """
-    seeds = len(ours.values)
-    drawn = _draws(seeds)
-    value = 1 - float(iqm(ours.values) / iqm(theirs.values))
-    ours_known = iqm(ours.latest) == iqm(ours.values)
-    theirs_known = iqm(theirs.latest) == iqm(theirs.values)
+    value, seeds = 1 - float(iqm(ours.values) / iqm(theirs.values)), len(ours.values)
+    ours_known, theirs_known = (iqm(each.latest) == iqm(each.values) for each in (ours, theirs))
     bound = {(True, True): "", (True, False): "≥", (False, True): "≤", (False, False): "?"}
-    least = 1 - iqm(ours.latest[drawn]) / iqm(theirs.values[drawn])
-    most = 1 - iqm(ours.values[drawn]) / iqm(theirs.latest[drawn])
-    low, high = _interval(least, seeds)[0], _interval(most, seeds)[1]
+    drawn = _draws(seeds)
+    low, _ = _interval(1 - iqm(ours.latest[drawn]) / iqm(theirs.values[drawn]), seeds)
+    _, high = _interval(1 - iqm(ours.values[drawn]) / iqm(theirs.latest[drawn]), seeds)
     return Estimate(value, low, high, seeds, bound[bool(ours_known), bool(theirs_known)])
 
 
 def mean_band(curves: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """The mean curve over seeds, and both ends of its interval, point by point.
-
-    Args:
-        curves: shape (seeds, points).
-
-    Returns:
-        Mean, lower and upper end, each of shape (points,).
-    """
+    """The mean over seeds of curves, shape (seeds, points), and both ends of its interval."""
     found = np.asarray(curves, float)
     means = found[_draws(len(found))].mean(axis=1)
     low, high = np.quantile(means, ENDS, axis=0)
@@ -165,24 +155,20 @@ def times(runs: Sequence[Run], unit: str) -> ConvergenceTimes:
         unit: a key of ``UNITS``. Processor seconds are those of the run's process up to that
             evaluation, the evaluations included.
     """
-    found = [_time(run, unit) for run in runs]
-    return ConvergenceTimes(
-        np.array([value for value, _ in found], float), np.array([open_ for _, open_ in found])
-    )
+    found = [run.summary["converged"] for run in runs]
+    values = [
+        float(when[unit]) if when else _not_before(run, unit)
+        for run, when in zip(runs, found, strict=True)
+    ]
+    return ConvergenceTimes(np.array(values), np.array([when is None for when in found]))
 
 
-def _time(run: Run, unit: str) -> tuple[float, bool]:
-    """When a run converged; or from when on it may have, and that it had not when it ended."""
-    found = run.summary["converged"]
-    if found is not None:
-        return float(found[unit]), False
+def _not_before(run: Run, unit: str) -> float:
+    """From when on a run may have converged that had not when it ended."""
     rows = run.evaluations()
-    streak = 0
-    for success in rows["success"][:-IN_A_ROW:-1]:
-        if success < CONVERGED:
-            break
-        streak += 1
-    return float(rows[unit][-streak] if streak else run.summary[LENGTHS[unit]]), True
+    last = rows["success"][:-IN_A_ROW:-1]
+    streak = len(list(takewhile(lambda success: success >= CONVERGED, last)))
+    return float(rows[unit][-streak] if streak else run.summary[LENGTHS[unit]])
 
 
 def _draws(count: int) -> NDArray[np.int64]:

@@ -52,12 +52,14 @@ GROUPS: dict[str, tuple[str, ...]] = {
 """What is changed, by theme; the first of a theme is also in the quick scale."""
 
 
-def _variants() -> list[Variant]:
-    """The default, then every change; the first of a theme is quick."""
-    found = [Variant("")]
-    for group, changes in GROUPS.items():
-        found += [Variant(group, change, quick=i == 0) for i, change in enumerate(changes)]
-    return found
+VARIANTS = [
+    Variant(""),
+    *(
+        Variant(group, change, quick=change == changes[0])
+        for group, changes in GROUPS.items()
+        for change in changes
+    ),
+]
 
 
 class Ablations(Comparison):
@@ -70,7 +72,7 @@ class Ablations(Comparison):
         return [*drawn, *super().report(runs, out, quick=quick)]
 
 
-TARGET = Ablations("ablations", _variants(), ("env.robots=3",), THREE_SEEDS)
+TARGET = Ablations("ablations", VARIANTS, ("env.robots=3",), THREE_SEEDS)
 
 
 def _draw(changes: Sequence[Change]) -> Figure:

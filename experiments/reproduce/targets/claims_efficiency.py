@@ -6,7 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from experiments.reproduce.results.points import (
+from experiments.reproduce.results.statistics import Floats, estimate
+from experiments.reproduce.results.verdicts import Check, Claim
+from experiments.reproduce.targets.fig4_points import (
     BEST,
     LEARNED,
     PLANNED,
@@ -16,8 +18,6 @@ from experiments.reproduce.results.points import (
     by_setting,
     mean,
 )
-from experiments.reproduce.results.statistics import Floats, estimate
-from experiments.reproduce.results.verdicts import Check, Claim
 
 WHERE = "Section IV on Fig. 4"
 FEW, MANY = 3, 4

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from experiments.reproduce.results.points import LEARNED, PLANNED
 from experiments.reproduce.results.statistics import Floats
 from experiments.reproduce.results.verdicts import Claim
 from experiments.reproduce.targets.claims_efficiency import KNEE, Pairs, claim
+from experiments.reproduce.targets.fig4_points import LEARNED, PLANNED
 from experiments.reproduce.targets.fig5 import Fig5Measures
 
 WHERE = "Section IV on Fig. 5"

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from conf.scheme_checks import MOST_JOINT_ACTIONS
-from experiments.reproduce.results import cost, statistics
+from experiments.reproduce.results import cost
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.results.statistics import UNITS, Estimate, Floats, difference, estimate
 from experiments.reproduce.results.verdicts import Check, Claim, exact
 from experiments.reproduce.targets.comparison import last5
-from experiments.reproduce.targets.fig3 import BRANCHING, CENTRALIZED, OURS, RIVALS
+from experiments.reproduce.targets.fig3 import BRANCHING, CENTRALIZED, OURS, RIVALS, reductions
 from training.communication import per_tick
 from training.recording.history import CONVERGED
 
@@ -99,14 +99,8 @@ def training_claims(runs: Runs) -> list[Claim]:
 
 
 def _faster(ours: Sequence[Run], theirs: Sequence[Run], least: float) -> list[Check]:
-    return [
-        Check(
-            {"unit": name},
-            statistics.reduction(statistics.times(ours, unit), statistics.times(theirs, unit)),
-            least,
-        )
-        for unit, name in UNITS.items()
-    ]
+    found = reductions(ours, theirs)
+    return [Check({"unit": UNITS[unit]}, share, least) for unit, share in found.items()]
 
 
 def _at_the_end(of: Callable[[Floats], Any], *pair: Sequence[Run]) -> Estimate:

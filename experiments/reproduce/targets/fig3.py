@@ -95,29 +95,20 @@ class Fig3:
         rewards = {name: reward_curve(found) for name, found in each.items()}
         successes = {name: success_curve(found) for name, found in each.items()}
         figure = _draw(rewards, successes, len(next(iter(each.values()))))
-        times = {
-            name: {unit: statistics.times(found, unit) for unit in UNITS}
+        converged = {
+            name: {unit: statistics.converged(statistics.times(found, unit)) for unit in UNITS}
             for name, found in each.items()
         }
-        converged = {
-            name: {unit: statistics.converged(of) for unit, of in by_unit.items()}
-            for name, by_unit in times.items()
-        }
-        reductions = {
-            rival: {
-                unit: statistics.reduction(times[OURS][unit], times[rival][unit]) for unit in UNITS
-            }
-            for rival in RIVALS
-        }
+        reduced = {rival: reductions(each[OURS], each[rival]) for rival in RIVALS}
         return [
             *save_figure(figure, out, self.name, quick=quick),
             _write_curves(out / "fig3.csv", rewards),
             _write_curves(out / "fig3_success.csv", successes),
             _write_runs(out / "fig3_runs.csv", each),
             _write_convergence(out / "fig3_convergence.md", each, converged),
-            _write_reductions(out / "fig3_reductions.md", reductions),
+            _write_reductions(out / "fig3_reductions.md", reduced),
             _write_estimates(out / "fig3_convergence.csv", converged),
-            _write_estimates(out / "fig3_reductions.csv", reductions),
+            _write_estimates(out / "fig3_reductions.csv", reduced),
         ]
 
 
@@ -168,6 +159,14 @@ def _draw_curve(axes: Axes, name: str, curve: Curve) -> None:
     axes.plot(curve.episode, curve.mean, color=colour, linewidth=1.5, label=name)
 
 
+def reductions(ours: Sequence[Run], theirs: Sequence[Run]) -> dict[str, Estimate]:
+    """How much less ours take until they converge, as a share, in each of ``UNITS``."""
+    return {
+        unit: statistics.reduction(*(statistics.times(runs, unit) for runs in (ours, theirs)))
+        for unit in UNITS
+    }
+
+
 def _write_curves(path: Path, curves: dict[str, Curve]) -> Path:
     rows = [
         (name, int(episode), *map(float, band))
@@ -202,10 +201,10 @@ def _write_convergence(path: Path, each: dict[str, list[Run]], converged: Estima
     return write_table(path, header, rows, NOTE)
 
 
-def _write_reductions(path: Path, reductions: Estimates) -> Path:
+def _write_reductions(path: Path, reduced: Estimates) -> Path:
     rows = [
         (f"{OURS}, against {rival}", *(found.text(".0f", 100.0) for found in by_unit.values()))
-        for rival, by_unit in reductions.items()
+        for rival, by_unit in reduced.items()
     ]
     header = ("less, in %", *UNITS.values())
     return write_table(path, header, rows, NOTE + " Below zero: ours takes longer.")

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-from conf import Config, overridden
+from conf import overridden
 from experiments.reproduce.results.output import save_figure, write_csv
 from experiments.reproduce.results.planning import planned_values
-from experiments.reproduce.results.points import (
+from experiments.reproduce.results.runs import Run, Runs
+from experiments.reproduce.targets.fig4_drawing import draw
+from experiments.reproduce.targets.fig4_points import (
     BEST,
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
+    Neighbour,
     Point,
     PointOutcome,
+    neighbours,
     points,
+    write_points,
 )
-from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.targets.fig4_drawing import draw
-from experiments.reproduce.targets.fig4_tables import Neighbour, neighbours, write_points
 from experiments.reproduce.targets.plan import QUICK_SEEDS, THREE_SEEDS, Cell
 
 POWERS_DBM = (10, 15, 20, 25, 30)
@@ -153,7 +154,11 @@ def outcomes(runs: Runs, which: Sequence[Fig4Setting], file: Path) -> list[Point
     """
     trained = [(each, run) for each in which for run in runs[each.name].values()]
     best = [(each, run) for each in which if each.has_best for run in runs[each.best].values()]
-    plans = [(each, PLANNED, _fewer_starts(run.config)) for each, run in trained]
+    plans = []
+    for each, run in trained:
+        starts = min(run.config.evaluation.episodes, PLANNED_STARTS)
+        config = overridden(run.config, [f"evaluation.episodes={starts}"])
+        plans.append((each, PLANNED, config))
     plans += [
         (each, PLANNED_AGAIN, overridden(config, ["env.oma.share=reallocate"]))
         for each, _, config in plans
@@ -177,13 +182,6 @@ def _learned(
     measures = [explored[name] for name in ("ee", "success", "sum_rate", "min_rate")]
     ends = {f"greedy_{name}": greedy[name] for name in ("ee", "success")}
     return PointOutcome(*setting, curve, run.seed, *measures, **ends)
-
-
-def _fewer_starts(config: Config) -> Config:
-    """The same task with no more held-out starts than are planned for."""
-    evaluation = config.evaluation
-    fewer = dataclasses.replace(evaluation, episodes=min(evaluation.episodes, PLANNED_STARTS))
-    return dataclasses.replace(config, evaluation=fewer)
 
 
 def _note(runs: Runs, setting: Fig4Setting) -> str:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from experiments.reproduce.results.output import plain
-from experiments.reproduce.results.points import BEST, LEARNED, PLANNED, PLANNED_AGAIN, Point
+from experiments.reproduce.targets.fig4_points import BEST, LEARNED, PLANNED, PLANNED_AGAIN, Point
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from experiments.analysis.played import learned, mirrored, planned
 from experiments.reproduce.results.output import Row, save_figure, write_csv
 from experiments.reproduce.results.planning import planned_values
-from experiments.reproduce.results.points import LEARNED, PLANNED
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.targets.fig4 import cells_of
+from experiments.reproduce.targets.fig4_points import LEARNED, PLANNED
 from experiments.reproduce.targets.fig5_drawing import Shown, draw_along, draw_ways
 from experiments.reproduce.targets.plan import Cell
 from training.evaluation import Evaluator

@@ -8,14 +8,13 @@ the global state, in which no robot's way is and robots stand by index, as it ac
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from conf import Config
+from conf import overridden
 from env.episode import EpisodeMeasures
 from experiments.analysis.optimality_gap import shortest_best_measures
 from experiments.reproduce.results.output import write_csv, write_table
@@ -122,9 +121,12 @@ class Optimality:
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
         """See ``Target``."""
         found = outcomes(runs, out / "planned.csv")
+        made = estimates(found)
+        numbers = [(*of, key, *each[:4]) for of, by in made.items() for key, each in by.items()]
+        header = ("robots", "learner", "measure", *Estimate._fields[:4])
         return [
-            _write_table(out / "optimality.md", found, quick),
-            _write_csv(out / "optimality.csv", found),
+            _write_table(out / "optimality.md", found, made, quick),
+            write_csv(out / "optimality.csv", header, numbers),
             write_csv(out / "optimality_runs.csv", OptimalityOutcome._fields, found),
             out / "planned.csv",
         ]
@@ -147,7 +149,8 @@ def outcomes(runs: Runs, file: Path) -> list[OptimalityOutcome]:
     """
     trained = [(name.split(",")[0], run) for name, each in runs.items() for run in each.values()]
     tasks = {(r.config.env.robots, r.seed): r.config for which, r in trained if which == BEST}
-    values = planned_values([_starts_of(each) for each in tasks.values()], file)
+    of_starts = [overridden(c, [f"evaluation.episodes={STARTS}"]) for c in tasks.values()]
+    values = planned_values(of_starts, file)
     plans = dict(zip(tasks, values, strict=True))
     found = []
     for learner, run in trained:
@@ -158,12 +161,6 @@ def outcomes(runs: Runs, file: Path) -> list[OptimalityOutcome]:
         measures = shortest_best_measures(Evaluator(config, episodes=STARTS))
         found.append(_outcome(*task, RULE, measures, plans[task], np.nan))
     return sorted(found, key=lambda each: each.robots)
-
-
-def _starts_of(config: Config) -> Config:
-    """The same task with the held-out starts that are played."""
-    evaluation = dataclasses.replace(config.evaluation, episodes=STARTS)
-    return dataclasses.replace(config, evaluation=evaluation)
 
 
 def _outcome(
@@ -195,9 +192,11 @@ def estimates(found: Sequence[OptimalityOutcome]) -> Estimates:
     return made
 
 
-def _write_table(path: Path, found: Sequence[OptimalityOutcome], quick: bool) -> Path:
+def _write_table(
+    path: Path, found: Sequence[OptimalityOutcome], made: Estimates, quick: bool
+) -> Path:
     rows = []
-    for (robots, learner), measured in estimates(found).items():
+    for (robots, learner), measured in made.items():
         cells = [measured[key].text(form, scale) for key, (_, form, scale) in MEASURES.items()]
         above = "" if learner == BEST else measured["above_best"].text("+.1f", 100.0)
         rows.append((robots, learner, *cells, above))
@@ -206,12 +205,3 @@ def _write_table(path: Path, found: Sequence[OptimalityOutcome], quick: bool) ->
     titles = (title for title, *_ in MEASURES.values())
     header = ("K", "learner", *titles, "(5a), points above best")
     return write_table(path, header, rows, note, quick=quick)
-
-
-def _write_csv(path: Path, found: Sequence[OptimalityOutcome]) -> Path:
-    rows = [
-        (robots, learner, name, *each[:4])
-        for (robots, learner), measured in estimates(found).items()
-        for name, each in measured.items()
-    ]
-    return write_csv(path, ("robots", "learner", "measure", "value", "low", "high", "seeds"), rows)

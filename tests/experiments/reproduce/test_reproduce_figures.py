@@ -18,18 +18,18 @@ from experiments.analysis import played as along
 from experiments.analysis.optimality_gap import SLACK
 from experiments.analysis.played import PlayedEpisodes
 from experiments.reproduce.results import planning
-from experiments.reproduce.results.points import (
+from experiments.reproduce.results.runs import Run, Runs
+from experiments.reproduce.targets import fig4, fig5
+from experiments.reproduce.targets.fig4_drawing import draw
+from experiments.reproduce.targets.fig4_points import (
     BEST,
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
     PointOutcome,
+    neighbours,
     points,
 )
-from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.targets import fig4, fig5
-from experiments.reproduce.targets.fig4_drawing import draw
-from experiments.reproduce.targets.fig4_tables import neighbours
 from experiments.reproduce.targets.fig5_drawing import Shown, draw_along, draw_ways
 from experiments.reproduce.targets.plan import COMMON, Cell, cell_folder, configs, with_overrides
 from experiments.runtimes import local

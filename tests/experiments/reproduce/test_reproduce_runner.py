@@ -23,7 +23,7 @@ from conf import Config, ConfigError
 from experiments.batch.states import State, folder_of, state_of
 from experiments.batch.train import BatchOutcome
 from experiments.cli import main
-from experiments.reproduce.jobs.runner import Plan, train
+from experiments.reproduce.runner import Plan, train
 from experiments.reproduce.targets.plan import Cell
 from experiments.runtimes import local, runner
 from experiments.runtimes.folders import folder_lock
