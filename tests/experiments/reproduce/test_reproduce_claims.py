@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from reproduce_helpers import measure_shortly
 
 from conf import overridden
-from experiments.cli import main
 from experiments.reproduce.results import cost
 from experiments.reproduce.results.statistics import Estimate
 from experiments.reproduce.results.verdicts import Check, Claim, ClaimResult, exact
@@ -156,15 +154,10 @@ def test_claims_on_qoe_follow_from_the_measures() -> None:
     assert found["the RIS enhances the channels"] == "holds"
 
 
-@pytest.fixture
-def short_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Processor time is measured over few steps."""
-    for name, value in (("BLOCKS", 2), ("CENTRAL_STEPS", 2), ("FEDERATED_STEPS", 4)):
-        monkeypatch.setattr(cost, name, value)
-
-
-@pytest.mark.usefixtures("short_measurement")
-def test_a_centralized_step_is_dearer_in_proportion_to_the_joint_actions(tiny: Any) -> None:
+def test_a_centralized_step_is_dearer_in_proportion_to_the_joint_actions(
+    tiny: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure_shortly(monkeypatch)
     ours = tiny()
     theirs = overridden(ours, ["scheme.agents=centralized", "strategy.name=none"])
     found = cost.ratios(ours, theirs)
@@ -179,32 +172,3 @@ def test_claims_need_no_run_that_a_figure_does_not() -> None:
         of_figures = [cell for f in (fig3, fig4, fig5) for cell in f.TARGET.cells(quick)]
         assert cells == of_figures
         assert len({cell.name for cell in cells}) == len(cells)
-
-
-@pytest.mark.usefixtures("short_measurement")
-def test_the_command_writes_every_claim_and_every_check(
-    tiny_overrides: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(fig3, "QUICK_SEEDS", (10,))
-    monkeypatch.setattr(fig4, "QUICK_SIDES", (0, 30))
-    monkeypatch.setattr(fig4, "QUICK_POWERS_DBM", (20,))
-    monkeypatch.setattr(fig5, "QUICK_SIDES", (30,))
-    own = ("run.", "runtime", "train.max_ticks", "env.ris.side", "evaluation.episodes")
-    keys = [item for item in tiny_overrides if not item.startswith(own)]
-    command = ["reproduce", "claims", "--quick", "--out", str(tmp_path), "hydra/launcher=basic"]
-    assert main([*command, *keys, "train.max_ticks=60", "evaluation.episodes=1"]) == 0
-    with (tmp_path / "claims.csv").open(newline="") as file:
-        found = list(csv.DictReader(file))
-    kinds = {row["verdict"].split(" on ")[0] for row in found}
-    assert kinds <= {"holds", "does not hold", "depends", "not shown"}
-    by_says = {row["claim"]: row for row in found}
-    assert by_says["F-DRL significantly reduces the communication overhead"]["verdict"] == (
-        "does not hold"
-    )
-    with (tmp_path / "claims_checks.csv").open(newline="") as file:
-        checks = list(csv.DictReader(file))
-    assert {row["claim"] for row in checks} == set(by_says)
-    table = (tmp_path / "claims.md").read_text()
-    assert all(f"| {says} |" in table for says in by_says)
-    widths = {line.count("|") for line in table.splitlines() if line.startswith("|")}
-    assert len(widths) == 1

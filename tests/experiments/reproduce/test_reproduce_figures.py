@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,16 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from reproduce_helpers import measure_shortly, rows_of, same_run
 
-from conf import ConfigError, compose, overridden
+from conf import compose, overridden
 from env.oracles.trajectory import best_trajectory
-from experiments.analysis import optimality_gap
 from experiments.analysis import played as along
 from experiments.analysis.optimality_gap import SLACK
 from experiments.analysis.played import PlayedEpisodes
-from experiments.reproduce.results import planning
 from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.targets import fig4, fig5
+from experiments.reproduce.targets import claims, fig3, fig4, fig5
 from experiments.reproduce.targets.fig4_drawing import draw
 from experiments.reproduce.targets.fig4_points import (
     BEST,
@@ -56,10 +54,10 @@ def trained(cells: Sequence[Cell], tiny: Sequence[str], store: Path) -> Runs:
 
 @pytest.fixture(scope="module")
 def few_points() -> Iterator[None]:
-    """Quick figures have one M_R and two power budgets."""
+    """Quick figures have one M_R and one power budget."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fig4, "QUICK_SIDES", (30,))
-        patch.setattr(fig4, "QUICK_POWERS_DBM", (10, 30))
+        patch.setattr(fig4, "QUICK_POWERS_DBM", (10,))
         patch.setattr(fig5, "QUICK_SIDES", (30,))
         yield
 
@@ -76,11 +74,6 @@ def runs_of_fig5(
     few_points: None, tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory
 ) -> Runs:
     return trained(fig5.TARGET.cells(True), tiny_overrides, tmp_path_factory.mktemp("fig5"))
-
-
-def rows_of(file: Path) -> list[dict[str, str]]:
-    with file.open(newline="") as text:
-        return list(csv.DictReader(text))
 
 
 def check_pictures(files: Sequence[Path], names: Sequence[str]) -> None:
@@ -126,7 +119,7 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
     assert all(file.is_file() for file in files)
     check_pictures(files, ["fig4"])
     drawn = rows_of(tmp_path / "fig4.csv")
-    assert len(drawn) == 2 * 7  # power budgets, curves
+    assert len(drawn) == 7  # curves
     assert {(row["access"], row["curve"]) for row in drawn} == {
         *(("noma", curve) for curve in (LEARNED, BEST, PLANNED)),
         *(("oma", curve) for curve in (LEARNED, BEST, PLANNED, PLANNED_AGAIN)),
@@ -142,94 +135,6 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
     (row,) = (row for row in runs if list(row.values())[:5] == ["3", "30", "10", "oma", BEST])
     assert float(row["ee"]) == pytest.approx(final["ee"], rel=1e-5)
     assert len((tmp_path / "fig4.md").read_text().splitlines()) == 2 + 7 + 2
-
-
-def test_planned_values_are_the_trajectory_oracles_and_are_kept(
-    runs_of_fig4: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = runs_of_fig4[fig4.Fig4Setting(3, 30, 10, "oma").name][10]
-    again = overridden(run.config, ["env.oma.share=reallocate"])
-    file = tmp_path / "planned.csv"
-    values = planning.planned_values([run.config, again, run.config], file)
-    for config, value in zip((run.config, again), values, strict=False):
-        expected = optimality_gap.trajectory_measures(Evaluator(config), SLACK).summary()
-        assert value._asdict().items() >= {
-            (name, expected[name]) for name in ("ee", "sum_rate", "min_rate", "path_ratio")
-        }
-    assert values[1].ee > values[0].ee == values[2].ee
-    monkeypatch.setattr(planning, "_row", lambda config: pytest.fail("was worked out again"))
-    assert planning.planned_values([again, run.config], file) == [values[1], values[0]]
-
-
-def test_planned_values_outlast_an_interrupt(
-    tiny: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first, second = tiny({"seed": 1}), tiny({"seed": 2})
-    work = planning._row
-
-    def interrupted(config: Any) -> Any:
-        if config.seed == 2:
-            raise KeyboardInterrupt
-        return work(config)
-
-    monkeypatch.setattr(planning, "_row", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        planning.planned_values([first, second], tmp_path / "planned.csv")
-    assert [row["seed"] for row in rows_of(tmp_path / "planned.csv")] == ["1"]
-
-
-def test_what_agents_see_and_are_paid_changes_no_plan(
-    tiny: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file, config = tmp_path / "planned.csv", tiny({"evaluation.episodes": 2})
-    others = {"env.state.way": "on", "env.state.others": 2, "env.reward.credit": "difference"}
-    best = tiny({"evaluation.episodes": 2, **others})
-    expected = optimality_gap.trajectory_measures(Evaluator(best), SLACK).summary()
-    (value,) = planning.planned_values([config], file)
-    assert value.ee == expected["ee"]
-    assert value.ee_bits_per_joule == expected["ee_bits_per_joule"]
-    monkeypatch.setattr(planning, "_row", lambda config: pytest.fail("was worked out again"))
-    assert planning.planned_values([best], file) == [value]
-
-
-def test_a_file_of_plans_that_lacks_a_measure_is_filled(tiny: Any, tmp_path: Path) -> None:
-    file, config = tmp_path / "planned.csv", tiny({"evaluation.episodes": 2})
-    whole = planning.planned_values([config], file)
-    rows = [{k: v for k, v in row.items() if k != "ee_bits_per_joule"} for row in rows_of(file)]
-    with file.open("w", newline="") as text:
-        writer = csv.DictWriter(text, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    assert planning.planned_values([config], file) == whole
-    assert len(rows_of(file)) == 1
-
-
-def test_what_cannot_be_planned_is_said_in_a_sentence(tiny: Any, tmp_path: Path) -> None:
-    config = tiny({"env.channel.fading": "slot"})
-    with pytest.raises(ConfigError, match=r"env\.channel\.fading=slot: allowed is static or none"):
-        planning.planned_values([config], tmp_path / "planned.csv")
-
-
-@pytest.mark.slow
-def test_several_processes_plan_what_one_does(
-    tiny: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tasks = [tiny({"seed": seed, "evaluation.episodes": 2}) for seed in (0, 1, 2)]
-    alone = planning.planned_values(tasks, tmp_path / "alone.csv")
-    monkeypatch.setattr("os.cpu_count", lambda: 2)
-    assert planning.planned_values(tasks, tmp_path / "many.csv") == alone
-    assert (tmp_path / "many.csv").read_text() == (tmp_path / "alone.csv").read_text()
-
-
-def test_other_starts_are_planned_anew_and_replace_no_other_line(tiny: Any, tmp_path: Path) -> None:
-    file = tmp_path / "planned.csv"
-    few = {"evaluation.episodes": 2}
-    (one,) = planning.planned_values([tiny(few)], file)
-    (other,) = planning.planned_values([tiny(few | {"seed": 1})], file)
-    assert one != other
-    (walls,) = planning.planned_values([tiny(few | {"env.map_seed": 5})], file)
-    assert walls != one
-    assert [row["seed"] for row in rows_of(file)] == ["0", "1"]  # the same setting, another map
 
 
 def outcome(ee: float, seed: int = 0, success: float = 1.0, **of: Any) -> PointOutcome:
@@ -366,3 +271,28 @@ def test_a_robot_that_does_not_arrive_is_crossed(tiny: Any) -> None:
     assert crosses(misses.axes[0]) == 3
     lines = draw_along(shown(stuck), "").axes
     assert [len(axes.lines) for axes in lines] == [6, 6]
+
+
+def test_every_claim_and_every_check_is_written(
+    runs_of_fig4: Runs,
+    runs_of_fig5: Runs,
+    tiny_run: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measure_shortly(monkeypatch)
+    of_fig3 = same_run(fig3.TARGET, tiny_run)
+    central = Run(tiny_run)
+    keys = ["scheme.agents=centralized", "strategy.name=none"]
+    vars(central)["config"] = overridden(central.config, keys)  # in the place of what it caches
+    runs = {**of_fig3, fig3.CENTRALIZED: {0: central}, **runs_of_fig4, **runs_of_fig5}
+    claims.TARGET.report(runs, tmp_path, quick=True)
+    found = {row["claim"]: row["verdict"] for row in rows_of(tmp_path / "claims.csv")}
+    kinds = {verdict.split(" on ")[0] for verdict in found.values()}
+    assert kinds <= {"holds", "does not hold", "depends", "not shown"}
+    assert found["F-DRL significantly reduces the communication overhead"] == "does not hold"
+    assert {row["claim"] for row in rows_of(tmp_path / "claims_checks.csv")} == set(found)
+    table = (tmp_path / "claims.md").read_text()
+    assert all(f"| {says} |" in table for says in found)
+    widths = {line.count("|") for line in table.splitlines() if line.startswith("|")}
+    assert len(widths) == 1
