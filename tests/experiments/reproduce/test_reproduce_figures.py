@@ -42,7 +42,10 @@ OWN = ("runtime", "run.", "env.ris.side")
 
 def trained(cells: Sequence[Cell], tiny: Sequence[str], store: Path) -> Runs:
     """Trains every run of the cells on the tiny task."""
-    keys = [key for key in tiny if not key.startswith(OWN)] + ["train.max_ticks=60"]
+    keys = [key for key in tiny if not key.startswith(OWN)] + [
+        "train.max_ticks=40",
+        "train.worlds=2",
+    ]
     runs: dict[str, dict[int, Run]] = {}
     for cell in with_overrides(cells, keys):
         runs[cell.name] = {}
