@@ -171,16 +171,13 @@ def front_matter(model: str, weights: Sequence[Weights]) -> str:
 
 
 def dress(folder: Path) -> list[Path]:
-    """Brings a folder of weights into the hub's form.
-
-    Args:
-        folder: with a card and a folder for each of the weights.
+    """Brings a folder with a card and folders of weights into the hub's form.
 
     Returns:
         The files written.
 
     Raises:
-        ConfigError: there are none, or a file is damaged.
+        ConfigError: there are no weights, or a file is damaged.
         OSError: a file cannot be read or written.
     """
     found = [Weights(path) for path in sorted(folder.iterdir()) if Weights(path).files.has_ended]

@@ -14,8 +14,7 @@ from experiments.reproduce.results.output import write_csv, write_table
 from experiments.reproduce.results.runs import Runs
 from experiments.reproduce.results.verdicts import Claim
 from experiments.reproduce.targets import fig3, fig4, fig5
-from experiments.reproduce.targets.claims_efficiency import fig4_claims
-from experiments.reproduce.targets.claims_quality import fig5_claims
+from experiments.reproduce.targets.claims_radio import fig4_claims, fig5_claims
 from experiments.reproduce.targets.claims_training import training_claims
 from experiments.reproduce.targets.plan import Cell
 

@@ -32,11 +32,7 @@ F-DRL's is then 17 hours of it. Ours, taken when K = 3 was known to cost some 10
 
 
 def training_claims(runs: Runs) -> list[Claim]:
-    """What the paper says of training.
-
-    Args:
-        runs: Fig. 3's, by the cell's name and by seed.
-    """
+    """What the paper says of training, from the runs of Fig. 3."""
     each = {name: [by_seed[seed] for seed in sorted(by_seed)] for name, by_seed in runs.items()}
     ours = {f[0].config.env.robots: f for name, f in each.items() if name not in RIVALS}
     last = f"of the total rewards of the last {LAST} training episodes"

@@ -145,13 +145,7 @@ TARGET = Fig4()
 
 
 def outcomes(runs: Runs, which: Sequence[Fig4Setting], file: Path) -> list[PointOutcome]:
-    """What every run of the settings came to, and what is planned for its starts.
-
-    Args:
-        runs: every run of the settings.
-        which: the settings.
-        file: keeps planned values.
-    """
+    """What every run of the settings came to, and plans for its starts, kept in a file."""
     trained = [(each, run) for each in which for run in runs[each.name].values()]
     best = [(each, run) for each in which if each.has_best for run in runs[each.best].values()]
     plans = []

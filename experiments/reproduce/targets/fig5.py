@@ -138,15 +138,10 @@ def _shown(setting: Fig5Setting, by_seed: Mapping[int, Run]) -> Iterator[Shown]:
 
 
 def held_out(runs: Runs, which: Sequence[Fig5Setting], file: Path) -> list[Fig5Measures]:
-    """Measures on every run's held-out starts: learned, and planned from the same starts.
+    """Measures on every run's held-out starts: learned, and planned, which a file keeps.
 
     Learned ones are means of the last five evaluations, except for the gain along the ways, which
     is that of the final weights.
-
-    Args:
-        runs: every run of the settings.
-        which: the settings.
-        file: keeps planned values.
     """
     trained = [(each, run) for each in which for run in runs[each.name].values()]
     values = planned_values([run.config for _, run in trained], file)

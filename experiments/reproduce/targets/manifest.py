@@ -29,13 +29,13 @@ def write(
     files: Sequence[Path],
     call: Mapping[str, Any],
 ) -> Path:
-    """Writes a target's manifest; returns its file.
+    """Writes a target's manifest beside its files; returns it.
 
     Args:
         out: the folder of the files.
         target: its name.
         cells: what it needs.
-        runs: all of them.
+        runs: by cell and seed.
         files: what it wrote.
         call: how it was called: what the user set, and the seconds that it took.
     """

@@ -143,9 +143,7 @@ def named(learner: str, robots: int) -> str:
 def outcomes(runs: Runs, file: Path) -> list[OptimalityOutcome]:
     """What every run came to, and the rule from the same starts, as shares of the plans'.
 
-    Args:
-        runs: every run of the target's cells.
-        file: keeps planned values.
+    A file keeps planned values.
     """
     trained = [(name.split(",")[0], run) for name, each in runs.items() for run in each.values()]
     tasks = {(r.config.env.robots, r.seed): r.config for which, r in trained if which == BEST}

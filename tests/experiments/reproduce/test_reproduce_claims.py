@@ -14,8 +14,7 @@ from experiments.reproduce.results import cost
 from experiments.reproduce.results.statistics import Estimate
 from experiments.reproduce.results.verdicts import Check, Claim, ClaimResult, exact
 from experiments.reproduce.targets import claims, fig3, fig4, fig5
-from experiments.reproduce.targets.claims_efficiency import fig4_claims
-from experiments.reproduce.targets.claims_quality import fig5_claims
+from experiments.reproduce.targets.claims_radio import fig4_claims, fig5_claims
 from experiments.reproduce.targets.fig4_points import LEARNED, PLANNED, PointOutcome
 
 
