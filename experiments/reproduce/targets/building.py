@@ -34,9 +34,6 @@ ADAPTED = 240
 
 ROOMS = "R = {}"
 LONGER = "R = 4, as many steps in all as R = 16"
-OWN = "R = 16, access points not averaged"
-PART = "R = 16, a third of the rooms missing in each round"
-OPEN = "R = 64, the default plan, map seeds apart"
 
 NOTE = (
     "Frozen final weights, greedy, in {held_out} held-out rooms and in at most as many of those"
@@ -80,13 +77,13 @@ class Building:
         cells = [_cell(ROOMS.format(count), count, seeds, *short) for count in counts]
         if quick:
             return cells
-        return [
-            *cells,
-            _cell(LONGER, 4, seeds, *_ticks(4 * TICKS)),
-            _cell(OWN, 16, seeds, "rooms.access_points=own"),
-            _cell(PART, 16, seeds, "rooms.fraction=0.6667"),
-            _cell(OPEN, 64, seeds, "rooms.plans=[]"),
-        ]
+        others = (
+            (LONGER, 4, _ticks(4 * TICKS)),
+            ("R = 16, access points not averaged", 16, ("rooms.access_points=own",)),
+            ("R = 16, a third of the rooms missing in each round", 16, ("rooms.fraction=0.6667",)),
+            ("R = 64, the default plan, map seeds apart", 64, ("rooms.plans=[]",)),
+        )
+        return cells + [_cell(name, count, seeds, *changes) for name, count, changes in others]
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
         """See ``Target``."""

@@ -18,6 +18,7 @@ from experiments.reproduce.results import statistics
 from experiments.reproduce.results.output import plain, save_figure, write_csv, write_table
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.results.statistics import UNITS, Estimate, Floats, estimate
+from experiments.reproduce.targets.comparison import last5
 from experiments.reproduce.targets.plan import QUICK_SEEDS, SEEDS, Cell
 from training.recording.figures import running_mean
 from training.recording.history import CONVERGED
@@ -194,9 +195,9 @@ def _write_convergence(path: Path, each: dict[str, list[Run]], converged: Estima
     rows = []
     for name, runs in each.items():
         there = sum(run.summary["converged"] is not None for run in runs)
-        last5 = estimate([run.summary["evaluation"]["last5"]["success"] for run in runs])
+        success = estimate(last5(runs, "success"))
         cells = [found.text(".0f") for found in converged[name].values()]
-        rows.append((name, f"{there} of {len(runs)}", *cells, last5.text(".2f")))
+        rows.append((name, f"{there} of {len(runs)}", *cells, success.text(".2f")))
     header = ("", "converged", *UNITS.values(), "success, last five evaluations")
     return write_table(path, header, rows, NOTE)
 

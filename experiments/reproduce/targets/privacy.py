@@ -9,11 +9,8 @@ from experiments.reproduce.targets.comparison import NOTE, Column, Comparison, V
 from experiments.reproduce.targets.plan import THREE_SEEDS
 from training.exchange.accounting import ACCOUNTANT
 
-TICKS = 10_000
-"""Of every run: 400 windows, or 100 where they are four times as long."""
-
-EXPLORING = "agent.epsilon.ticks=4000"
-"""By default they explore as long as these runs last."""
+COMMON = ("env.robots=3", "train.max_ticks=10000", "agent.epsilon.ticks=4000")
+"""400 windows, or 100 of four times the length; by default robots explore as long as that."""
 
 VARIANTS = (
     Variant("none"),
@@ -39,7 +36,7 @@ def epsilon(run: Run) -> float:
 TARGET = Comparison(
     "privacy",
     VARIANTS,
-    ("env.robots=3", f"train.max_ticks={TICKS}", EXPLORING),
+    COMMON,
     THREE_SEEDS,
     ("train.max_ticks=5000",),
     {"ε": Column(epsilon, ",.0f"), "releases": Column(lambda run: run.summary["windows"], ".0f")},
