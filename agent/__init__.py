@@ -5,13 +5,9 @@
 | `config` | the configuration's schema and checks |
 | `exploration` | the epsilon schedule and random choices |
 | `networks.mlp` | the flat layout of a network, first weights, the forward used to act |
-| `networks.dueling` | dueling outputs made action values, and the way back |
 | `networks.limits` | which weights are absurd |
-| `replay.uniform` | transitions as packed rows in a ring |
-| `replay.prioritised` | the same, drawn by how much they surprise |
-| `replay.n_step` | transitions of several slots stored as one |
+| `replay` | transitions as packed rows in a ring |
 | `learning.losses` | TD targets and the Huber loss |
-| `learning.interface` | what agents ask of a learner |
 | `learning.buffers` | memory of stacked agents, and the scratch of a gradient step |
 | `learning.gradients` | forward and backward of stacked agents, by hand |
 | `learning.heads` | one network, a head for each part of a decision |
@@ -34,13 +30,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from agent.agents.branching import BranchingDQN
     from agent.agents.dqn import DQN
-    from agent.config import (
-        AgentConfig,
-        DiscountConfig,
-        EpsilonConfig,
-        PriorityConfig,
-        TargetConfig,
-    )
+    from agent.config import AgentConfig, DiscountConfig, EpsilonConfig, TargetConfig
     from agent.exploration import NO_ACTION, epsilon_at
     from agent.learning.heads import Heads
     from agent.learning.learner import Learner
@@ -57,7 +47,6 @@ __all__ = [
     "Heads",
     "Learner",
     "NetworkShape",
-    "PriorityConfig",
     "TargetConfig",
     "epsilon_at",
     "q_values",
@@ -65,24 +54,19 @@ __all__ = [
 ]
 
 _HOMES = {
-    "AgentConfig": "agent.config",
-    "BranchingDQN": "agent.agents.branching",
-    "DQN": "agent.agents.dqn",
-    "DiscountConfig": "agent.config",
-    "EpsilonConfig": "agent.config",
-    "Heads": "agent.learning.heads",
-    "Learner": "agent.learning.learner",
-    "NO_ACTION": "agent.exploration",
-    "NetworkShape": "agent.networks.mlp",
-    "PriorityConfig": "agent.config",
-    "TargetConfig": "agent.config",
-    "epsilon_at": "agent.exploration",
-    "q_values": "agent.networks.mlp",
-    "single_threaded": "agent.threads",
+    "agent.agents.branching": ["BranchingDQN"],
+    "agent.agents.dqn": ["DQN"],
+    "agent.config": ["AgentConfig", "DiscountConfig", "EpsilonConfig", "TargetConfig"],
+    "agent.exploration": ["NO_ACTION", "epsilon_at"],
+    "agent.learning.heads": ["Heads"],
+    "agent.learning.learner": ["Learner"],
+    "agent.networks.mlp": ["NetworkShape", "q_values"],
+    "agent.threads": ["single_threaded"],
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

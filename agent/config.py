@@ -52,27 +52,12 @@ class EpsilonConfig:
 
 
 @dataclass(frozen=True)
-class PriorityConfig:
-    """Which transitions are replayed more often than others; an ``alpha`` of 0 draws them evenly.
-
-    ``alpha`` is how far the error of a transition decides how often it is drawn, ``beta`` how far
-    its weight in the loss makes up for that.
-    """
-
-    alpha: Annotated[Share, "0 draws all transitions evenly, 1 by their errors"] = 0.0
-    beta: Annotated[Share, "how far weights in the loss make up for it"] = 0.4
-
-
-@dataclass(frozen=True)
 class AgentConfig:
     """A DQN agent: its network, its replay and how it learns."""
 
     hidden: Annotated[list[Annotated[int, Interval(ge=1, le=4096)]], MinLen(1)] = field(
         default_factory=lambda: [64, 64]
     )
-    dueling: Annotated[
-        bool, "the state's value and each action's advantage as outputs of their own"
-    ] = False
     learning_rate: Annotated[float, Interval(gt=0, le=1), "alpha, Table I"] = 1e-4
     learning_rate_end: Annotated[float | None, Ge(0), "a number: it falls to that ..."] = None
     learning_rate_updates: Annotated[Count, "... over so many updates of an agent's own"] = 20_000
@@ -80,14 +65,10 @@ class AgentConfig:
     replay_size: Annotated[int, Interval(ge=1, le=10_000_000)] = 50_000
     learn_from: Annotated[Count, "transitions held before the first update"] = 128
     updates: Annotated[int, Interval(ge=1, le=100), "gradient steps after each transition"] = 1
-    n_step: Annotated[
-        int, Interval(ge=1, le=100), "slots whose rewards are summed up before it bootstraps"
-    ] = 1
     double: bool = False
     huber_delta: Annotated[Positive, "in scaled reward; at 1 the rare goal disturbs all else"] = 0.1
     reward_scale: Annotated[Positive, "for learning only; rewards are reported unscaled"] = 0.1
     discount: DiscountConfig = field(default_factory=DiscountConfig)
-    priority: PriorityConfig = field(default_factory=PriorityConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
     epsilon: EpsilonConfig = field(default_factory=EpsilonConfig)
 

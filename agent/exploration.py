@@ -14,15 +14,7 @@ GREEDY = -2
 
 
 def epsilon_at(config: EpsilonConfig, tick: int) -> float:
-    """Share of random actions, falling linearly and then constant.
-
-    Args:
-        config: start, end and length of the fall.
-        tick: tick of the whole run, from 0.
-
-    Returns:
-        Epsilon at that tick.
-    """
+    """Share of random actions at a tick of the run, from 0: falling linearly and then constant."""
     share = min(max(tick, 0) / config.ticks, 1.0)
     return config.start + share * (config.end - config.start)
 

@@ -27,9 +27,14 @@ class ReferenceDQN:
     """
 
     def __init__(
-        self, shape: NetworkShape, config: AgentConfig, discount: float,
-        generator: np.random.Generator, weights: FloatArray, proximal_mu: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        shape: NetworkShape,
+        config: AgentConfig,
+        discount: float,
+        generator: np.random.Generator,
+        weights: FloatArray,
+        proximal_mu: float = 0.0,
+    ) -> None:
         self.shape, self.config, self.discount, self.mu = shape, config, discount, proximal_mu
         self.generator, self.stored = generator, 0
         self.online, self.target = _network(shape, weights), _network(shape, weights)
@@ -53,8 +58,8 @@ class ReferenceDQN:
         for array, value in zip(self.replay, row, strict=True):
             array[self.stored % self.config.replay_size] = value
         self.stored += 1
-        loss = None
-        if (held := min(self.stored, self.config.replay_size)) >= self.config.learn_from:
+        held, loss = min(self.stored, self.config.replay_size), None
+        if held >= self.config.learn_from:
             drawn = self.generator.integers(held, size=self.config.batch_size)  # D_0
             loss = self.update(*(torch.from_numpy(array[drawn]) for array in self.replay))
         if self.stored % self.config.target.every == 0:
@@ -62,9 +67,8 @@ class ReferenceDQN:
         return loss
 
     def update(
-        self, seen: Tensor, action: Tensor, reward: Tensor, next_seen: Tensor, terminal: Tensor,
-        importance: Tensor | float = 1.0,
-    ) -> float:  # fmt: skip
+        self, seen: Tensor, action: Tensor, reward: Tensor, next_seen: Tensor, terminal: Tensor
+    ) -> float:
         """One gradient step on a batch; returns the loss."""
         with torch.no_grad():
             next_q = self.target(next_seen)  # Q^-(s', .)
@@ -72,11 +76,10 @@ class ReferenceDQN:
             best = next_q.gather(1, by.argmax(1, keepdim=True))[:, 0]  # Q^-(s', a*)
             y = reward + self.discount * (1 - terminal.float()) * best  # r + gamma Q^-(s', a*)
         q = self.online(seen).gather(1, action[:, None])[:, 0]  # Q(s, a)
-        each = nn.functional.huber_loss(q, y, delta=self.config.huber_delta, reduction="none")
-        total = loss = (importance * each).mean()  # L(w) = E[w_i Huber(Q(s, a) - y)]
+        total = loss = nn.functional.huber_loss(q, y, delta=self.config.huber_delta)  # L(w)
         if self.mu:  # FedProx: + (mu/2) ||w - w_global||^2
             pairs = zip(self.online.parameters(), self.proximal_reference, strict=True)
-            total = loss + self.mu / 2 * torch.stack([((p - g) ** 2).sum() for p, g in pairs]).sum()
+            total = loss + self.mu / 2 * sum(((p - g) ** 2).sum() for p, g in pairs)
         self.optimizer.zero_grad()
         total.backward()  # type: ignore[no-untyped-call]  # torch declares no types for it
         self.optimizer.step()
@@ -87,16 +90,10 @@ class ReferenceDQN:
         self.target.load_state_dict(self.online.state_dict())
 
 
-class _Dueling(nn.Module):  # V is the last output: Wang et al., 2016, Eq. (9)
-    def forward(self, outputs: Tensor) -> Tensor:
-        advantage, value = outputs[..., :-1], outputs[..., -1:]
-        return value + advantage - advantage.mean(-1, keepdim=True)
-
-
 def _network(shape: NetworkShape, weights: FloatArray) -> nn.Sequential:
     layers: list[nn.Module] = []
     for weight, bias in shape.views(torch.from_numpy(weights.copy())[None]):
         linear = nn.Linear(*weight.shape[1:])
         linear.weight.data, linear.bias.data = weight[0].T.contiguous(), bias[0].clone()
         layers += [linear, nn.ReLU()]
-    return nn.Sequential(*layers[:-1], *[_Dueling()] * shape.dueling)
+    return nn.Sequential(*layers[:-1])

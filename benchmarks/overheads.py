@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from agent import DQN, single_threaded
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 from benchmarks.clients import Mode, connected_clients
 from benchmarks.deployment import Lockstep
 from benchmarks.local import ServerSide, configured, initial_weights
@@ -19,7 +19,7 @@ from benchmarks.result import Result, Threshold, micro, take_turns
 from client_app.robots import RobotGroup
 from client_app.state import CheckpointedRobots, save_state
 from conf import Config
-from lockstep import UPDATE, Expect, Flag, LinkServer, LocalFleet
+from lockstep import UPDATE, Expect, Flag, InProcessFleet, LinkServer
 from storage.checkpoint_files import Writer
 from training.checkpoint import save_server
 from training.coordinator import Coordinator
@@ -62,7 +62,7 @@ class Kept:
         self._keeper.begin(1, initial_weights(config))
         # A block's windows begin in the middle between two checkpoints, and end there.
         self._before = (config.state.every or 0) // 2
-        fleet = Lockstep(LocalFleet([(robots, self._keeper)]), self._before)
+        fleet = Lockstep(InProcessFleet([(robots, self._keeper)]), self._before)
         self._side = ServerSide(config, fleet, self._keep)
         fill(self._side.ap.agent, config)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import ssl
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -44,7 +43,7 @@ class RoundConfig:
         config: the run's configuration.
         robots: the robots that this client holds.
         tokens: a secret for each of them, for this round.
-        address: where the link is.
+        address: host and port of the link.
         window: the windows that have been played before this round.
         round: the round's number.
         certificate: of the link's server, PEM; empty without TLS.
@@ -55,8 +54,8 @@ class RoundConfig:
     tokens: Sequence[str]
     address: tuple[str, int]
     window: int
-    round: int = 1
-    certificate: str = ""
+    round: int
+    certificate: str
 
     @classmethod
     def read(cls, record: ConfigRecord) -> RoundConfig:
@@ -107,10 +106,10 @@ def _play_rooms(message: Message, context: Context) -> Message:
             " than the ServerApp: its rooms would not end in the same bits"
         )
     state = state_folder(config, context.node_config)
-    keeper = _keepers.get(str(state))
-    if keeper is None:
+    if str(state) not in _keepers:
         _keepers.clear()  # of an earlier run, where a process outlives one
-        keeper = _keepers[str(state)] = RoomKeeper(config, state)
+        _keepers[str(state)] = RoomKeeper(config, state)
+    keeper = _keepers[str(state)]
     rooms = [each.room.index for each in task.rooms]
     keeper.keep_only({each.room.name for each in task.rooms})  # any process may play any room
     with log_lines(config.run.id, task.number, rooms, "room"):
@@ -125,20 +124,16 @@ def query(message: Message, context: Context) -> Message:
     order = message.content.config_records["order"]
     config = from_yaml(str(order["config"]))
     state = state_folder(config, context.node_config)
-    if has_rooms(config):
-        held = held_rooms(state, config.rooms.count)
-    else:
-        held = held_robots(state, config.env.robots)
+    rooms = has_rooms(config)
+    held = held_rooms(state, config.rooms.count) if rooms else held_robots(state, config.env.robots)
     return Message(RecordDict({"held": ConfigRecord({"robots": held})}), reply_to=message)
 
 
 def state_folder(config: Config, node_config: Mapping[str, object]) -> Path:
     """Where the robots of a run keep their state on this node.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir``.
-        node_config: the SuperNode's; ``state-dir`` in it is the folder of all runs' states.
-            Without it they lie in the run's folder, as it is named on the server.
+    It is below the ``state-dir`` of the SuperNode's configuration, which is that of all runs;
+    without one in the run's folder, as ``run.dir`` names it on the server.
     """
     own = node_config.get(STATE_DIR)
     if own is None:
@@ -148,10 +143,8 @@ def state_folder(config: Config, node_config: Mapping[str, object]) -> Path:
 
 def _serve(order: RoundConfig, keeper: CheckpointedRobots) -> None:
     """Serves the robots on the link until the round ends."""
-    link = order.config.federation.link
-    context: ssl.SSLContext | None = None
-    if order.certificate:
-        context = client_context(order.certificate)
+    federation = order.config.federation
+    context = client_context(order.certificate) if order.certificate else None
     log.info("joining %s:%d %s TLS", *order.address, "with" if context else "without")
     serve(
         order.address,
@@ -159,11 +152,9 @@ def _serve(order: RoundConfig, keeper: CheckpointedRobots) -> None:
         order.tokens,
         keeper,
         fingerprint=fingerprint(order.config.env),
-        timeout_s=link.timeout_s,
-        idle_timeout_s=link.patience_s,
-        reconnect_timeout_s=order.config.federation.loss_timeout_s
-        if waits_for_the_lost(order.config)
-        else 0,
+        timeout_s=federation.link.timeout_s,
+        idle_timeout_s=federation.link.patience_s,
+        reconnect_timeout_s=federation.loss_timeout_s if waits_for_the_lost(order.config) else 0.0,
         n_parameters=keeper.parameters,
         client_context=context,
         layout=step_layout(order.config),

@@ -23,13 +23,9 @@ _BROADCASTS = ("broadcast", "outcome_broadcast")
 
 
 def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells: int) -> None:
-    """Checks the records of a step; a few microseconds for each robot, so before every tick.
+    """Checks the robots' records of a step on a floor of so many cells.
 
-    Args:
-        tick: for the message.
-        robots: whose each record is.
-        updates: the records.
-        cells: how many the floor has.
+    It takes a few microseconds for each robot, so it is done before every tick.
 
     Raises:
         ValueError: a cell that is not on the floor, or a rate or channel that is not a number or
@@ -40,12 +36,10 @@ def check_received(tick: int, robots: Sequence[int], updates: np.ndarray, cells:
         robots, updates = [robots[row] for row in rows], updates[rows]
     bounds = _bounds(cells)
     for robot, received in zip(robots, updates[_FIELDS].tolist(), strict=True):
-        if not all(
-            least <= value <= most for value, (least, most) in zip(received, bounds, strict=True)
-        ):
-            values = ", ".join(
-                f"{name}={value:g}" for name, value in zip(_FIELDS, received, strict=True)
-            )
+        pairs = zip(received, bounds, strict=True)
+        if not all(least <= value <= most for value, (least, most) in pairs):
+            given = zip(_FIELDS, received, strict=True)
+            values = ", ".join(f"{name}={value:g}" for name, value in given)
             raise ValueError(
                 f"tick {tick}: robot {robot} received what cannot be ({values}): cells are 0 to"
                 f" {cells - 1}, rates 0 to {RATE_LIMIT:g} bit/s/Hz, channels within"

@@ -30,12 +30,8 @@ class RobotGroup:
     actions, ``upload`` returns their weights, ``download`` sets them. How robots are grouped
     changes no bit of any of them.
 
-    Args:
-        config: the run's configuration.
-        robots: which robots these are, indices below K.
-
     Attributes:
-        robots: the same.
+        robots: which robots these are, indices below K.
         run: the run's identity, None where it has none.
         agents: their DQNs.
         parameters: P, of one network.
@@ -92,24 +88,16 @@ class RobotGroup:
         arrived: NDArray[np.bool_],
     ) -> None:
         """Learns from an outcome; it led to what is observed now, unless an episode has ended."""
-        reached = updates["outcome_cell"]
         credit = updates["credit"] if self._is_credited else updates["rate"]
-        reward = self._slice.reward(credit, self._cell, reached, arrived)
+        reward = self._slice.reward(credit, self._cell, updates["outcome_cell"], arrived)
         check_rewards(tick, self._rows, reward, learning)
-        next_observation = observation
-        if self._has_begun_anew(updates):
-            next_observation = self._observed(updates, "outcome_")
-        self.agents.learn(
-            self._observation, self._action, reward, next_observation, arrived, learning
-        )
+        if any((updates[part] != updates[f"outcome_{part}"]).any() for part in self._seen):
+            observation = self._observed(updates, "outcome_")
+        self.agents.learn(self._observation, self._action, reward, observation, arrived, learning)
 
     def _observed(self, updates: np.ndarray, of: str = "") -> NDArray[np.float32]:
         """s_L as the records have it of now, or of the ``outcome_``."""
         return self._slice.observe(*(updates[of + part] for part in self._seen))
-
-    def _has_begun_anew(self, updates: np.ndarray) -> bool:
-        """Whether anything is observed now that the outcome did not lead to."""
-        return any((updates[part] != updates[f"outcome_{part}"]).any() for part in self._seen)
 
     def upload(self) -> Payload:
         """What each robot sends: its online and target weights, float32, shape (n, 2, P).
@@ -127,19 +115,14 @@ class RobotGroup:
         """Takes a window's global model, plain, shape (2, P), or packed, or (n, 2, P) own ones."""
         if self._outboxes:
             each = weights if weights.ndim == 3 else [weights] * len(self._outboxes)
-            weights = np.stack(
-                [box.take(given) for box, given in zip(self._outboxes, each, strict=True)]
-            )
+            pairs = zip(self._outboxes, each, strict=True)
+            weights = np.stack([box.take(given) for box, given in pairs])
         model = plain(weights)
         check_model(window, model)
         self.agents.load(model)
 
     def robot_state(self, index: int) -> dict[str, NDArray[np.generic]]:
-        """All that one of the robots needs to go on from the end of a window.
-
-        Args:
-            index: its place among these robots.
-        """
+        """All that the robot at a place among these needs to go on from the end of a window."""
         state = self.agents.agent_state(index)
         if self._outboxes:
             state |= flat({"outbox": self._outboxes[index].state()})

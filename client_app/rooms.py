@@ -23,12 +23,7 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
 from lockstep import InProcessFleet
-from storage.checkpoint_files import (
-    checkpoints,
-    drop_between,
-    load_checkpoint,
-    save_checkpoint,
-)
+from storage.checkpoint_files import checkpoints, drop_between, load_checkpoint, save_checkpoint
 from storage.checkpoint_layout import room_folder, room_owner
 from training.checkpoint import flat, part
 from training.controllers.access_point import NetworkAgent
@@ -83,7 +78,7 @@ class HostedRoom:
         self._coordinator.begin(np.zeros((2, self.parameters), np.float32))
 
     def play(self, windows: int, model: Weights, ap: Weights | None = None) -> RoomReport:
-        """Plays some windows from a network on.
+        """Plays so many windows from a network on.
 
         Args:
             windows: how many.
@@ -168,7 +163,7 @@ class RoomKeeper:
         """Writes a checkpoint of each room at hand that has none of the round it last played.
 
         Raises:
-            OSError: one could not be written.
+            OSError: one cannot be written.
         """
         if self.state is not None:
             for name, (_, played) in self.rooms.items():
@@ -187,10 +182,10 @@ class RoomKeeper:
         There it would be half a round ahead if an error ended the other half.
         """
         name = asked.room.name
-        held = self.rooms.pop(name, None)
-        if held is not None and held[1] == asked.since:
-            return held[0]
-        held = None  # or two of them would be in memory
+        room, played = self.rooms.pop(name, (None, 0))
+        if room is not None and played == asked.since:
+            return room
+        room = None  # or two of them would be in memory
         room = HostedRoom(asked.room.config(self.config))
         if asked.since:
             folder = room_folder(self.state or Path(), name)
@@ -200,10 +195,5 @@ class RoomKeeper:
 
 
 def held_rooms(state: Path, rooms: int) -> list[int]:
-    """The rooms, of the first so many, of which there is any checkpoint.
-
-    Args:
-        state: the folder of checkpoints on this machine.
-        rooms: R.
-    """
+    """The rooms, of the first so many, of which there is any checkpoint in a folder."""
     return [index for index in range(rooms) if checkpoints(room_folder(state, room_name(index)))]

@@ -22,23 +22,14 @@ class CheckpointedRobots:
     """Robots on the link that write their checkpoints before they upload, and go back to them.
 
     A checkpoint of every ``state.every`` windows is one that the server and all robots write; one
-    at the end of a Flower round carries the robots over to the process that plays the next.
-
-    Args:
-        config: the run's configuration.
-        robots: which robots these are.
-        state: the folder of checkpoints on this machine; None writes none.
+    at the end of a Flower round carries the robots over to the process that plays the next. Without
+    a folder for them, ``state``, there are none.
 
     Attributes:
         parameters: P, of one network.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        robots: Sequence[int],
-        state: Path | None,
-    ) -> None:
+    def __init__(self, config: Config, robots: Sequence[int], state: Path | None) -> None:
         self._config, self._state = config, state
         self._ended: tuple[int, bool] | None = None
         self._group = RobotGroup(config, robots)
@@ -53,11 +44,7 @@ class CheckpointedRobots:
         return actions
 
     def upload(self) -> Payload:
-        """See ``Robots.upload``.
-
-        Raises:
-            OSError: a checkpoint could not be written before.
-        """
+        """See ``Robots.upload``; a checkpoint that could not be written is an OSError."""
         sent = self._group.upload()  # before it is saved: a robot remembers what it has sent
         self._save()
         return sent
@@ -73,8 +60,8 @@ class CheckpointedRobots:
         self._save()
         self._writer.wait()
         robots = self._group.robots
-        kept = [_whole_windows(self._state, robot, self._config.run.id) for robot in robots]
-        return sorted(frozenset.intersection(*kept))
+        kept = (_whole_windows(self._state, robot, self._config.run.id) for robot in robots)
+        return sorted(set.intersection(*kept))
 
     def begin(self, window: int, model: Payload | None) -> None:
         """See ``Robots.begin``.
@@ -94,19 +81,11 @@ class CheckpointedRobots:
             self._group.download(window, model)
 
     def close(self) -> None:
-        """Waits until all is on disk.
-
-        Raises:
-            OSError: it could not be written.
-        """
+        """Waits until all is on disk; an OSError where it cannot be written."""
         self._writer.close()
 
     def _save(self) -> None:
-        """Writes the checkpoints of a window that has ended, where due or the last of a round.
-
-        Raises:
-            OSError: the ones before could not be written.
-        """
+        """Writes the checkpoints of a window that has ended, where due or the last of a round."""
         if self._ended is None:
             return
         (window, last), self._ended = self._ended, None
@@ -121,7 +100,7 @@ class CheckpointedRobots:
             self._writer.wait()
 
 
-def _whole_windows(state: Path, robot: int, run: str | None) -> frozenset[int]:
+def _whole_windows(state: Path, robot: int, run: str | None) -> set[int]:
     """The windows of which a robot has a checkpoint that is whole and its own."""
     whole = set()
     for window, folder in robot_windows(state, robot).items():
@@ -131,16 +110,11 @@ def _whole_windows(state: Path, robot: int, run: str | None) -> frozenset[int]:
             log.warning("robot %d cannot go on from window %d: %s", robot, window, error)
         else:
             whole.add(window)
-    return frozenset(whole)
+    return whole
 
 
 def held_robots(state: Path, robots: int) -> list[int]:
-    """The robots, of K, of which there is any checkpoint.
-
-    Args:
-        state: the folder of checkpoints on this machine.
-        robots: K.
-    """
+    """The robots, of K, of which there is any checkpoint in a folder."""
     return [robot for robot in range(robots) if robot_windows(state, robot)]
 
 
@@ -153,12 +127,7 @@ def save_state(
 ) -> None:
     """Writes each robot's checkpoint of a window: replay, moments, random state, weights.
 
-    Args:
-        group: the robots.
-        state: the folder of checkpoints on this machine.
-        window: windows that have been played.
-        place: the folder of a robot's checkpoints, below ``state``.
-        save: ``storage.checkpoint_files.save_checkpoint``, or a writer's.
+    ``place`` says in which folder below ``state``; ``save`` may be a ``Writer``'s.
     """
     for index, robot in enumerate(group.robots):
         arrays = group.robot_state(index)

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from agent import config as agent
-from conf import (
-    exchange_checks,
-    own_checks,
-    room_checks,
-    scheme_checks,
-    strategy_checks,
-)
+from conf import exchange_checks, room_checks, scheme_checks, strategy_checks
 from conf.schema import Config, has_rooms
 from env import validate
 from env.config_checks import RULES as ENV_RULES
@@ -27,12 +21,13 @@ RUN_ID = re.compile(r"[0-9a-f]{16}")
 
 def problems(config: Config) -> list[Problem]:
     """Lists what is wrong with a configuration: keys, their values, and what is allowed."""
-    found = validate.problems(config, ())
+    found = list(validate.value_problems(config))
     found = found or [*_run_rules(config), *validate.problems(config.env, ENV_RULES, "env.")]
     return found or validate.problems(config, RULES)
 
 
 def _run_rules(config: Config) -> Iterator[Problem]:
+    """The clients, the run's name, and keys that mean something in a deployment alone."""
     clients, key, most = config.federation.clients, "env.robots", config.env.robots
     if has_rooms(config):
         key, most = "rooms.count", config.rooms.count
@@ -41,33 +36,20 @@ def _run_rules(config: Config) -> Iterator[Problem]:
         yield "federation.clients", clients, say
     if config.run.id is not None and not RUN_ID.fullmatch(config.run.id):
         yield "run.id", config.run.id, "null, or 16 hexadecimal digits"
-    yield from _deployment_rules(config)
-
-
-def _deployment_rules(config: Config) -> Iterator[Problem]:
-    """Keys that mean something in a deployment alone."""
     runtime = config.runtime
-    if runtime.name == "deployment":
-        if runtime.secure and runtime.connection is not None:
-            say = "false with runtime.connection: the federation is as secure as it was started"
-            yield "runtime.secure", True, say
-        return
-    say = f"with runtime={runtime.name}: only deployment reads it"
-    if runtime.connection is not None:
-        yield "runtime.connection", runtime.connection, f"null {say}"
-    if runtime.secure:
-        yield "runtime.secure", True, f"false {say}"
-
-
-def _agent_rules(config: Config) -> Iterator[Problem]:
-    return agent.rules(config.agent)
+    connected, say = runtime.connection is not None, f"with runtime={runtime.name}: only deployment"
+    if runtime.name != "deployment":
+        if connected:
+            yield "runtime.connection", runtime.connection, f"null {say} reads it"
+        if runtime.secure:
+            yield "runtime.secure", True, f"false {say} reads it"
+    elif runtime.secure and connected:
+        say = "false with runtime.connection: the federation is as secure as it was started"
+        yield "runtime.secure", True, say
 
 
 def _destination_rules(config: Config) -> list[Problem]:
-    """Whether the floor holds the destinations that are drawn, and robots can drive to them.
-
-    Both depend on the seed.
-    """
+    """Whether the floor holds the destinations that the seed draws, and robots reach them."""
     try:
         destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
     except ValueError as error:
@@ -75,13 +57,13 @@ def _destination_rules(config: Config) -> list[Problem]:
     return lateness.problems(config.env, destinations)
 
 
-RULES = (
-    _agent_rules,
+RULES: tuple[Callable[[Config], Iterable[Problem]], ...] = (
+    lambda config: agent.rules(config.agent),
     scheme_checks.rules,
     _destination_rules,
-    strategy_checks.rules,
+    lambda config: strategy_checks.problems(config.strategy, config.env.robots, "env.robots"),
     room_checks.rules,
     exchange_checks.rules,
-    own_checks.rules,
+    exchange_checks.own_rules,
 )
 """Each counts on those before it."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import os
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -20,8 +22,9 @@ from yaml import YAMLError  # type: ignore[import-untyped]
 from conf import own_groups
 from conf.checks import problems
 from conf.errors import ConfigError, first_sentence, sentence
-from conf.overrides import FOLDER, lines, parse, schema_node
+from conf.overrides import FOLDER, lines, parse, schema_node, writable
 from conf.own_groups import located_plan
+from conf.removed_keys import drop_removed
 from conf.schema import Config
 from conf.user_paths import CHANNELS, PATHS
 from env.checks import planned_config
@@ -30,15 +33,16 @@ from env.radio.channel_file import sha256_of
 
 PLAN = "env.plan"
 
+_NO_HYDRA = [f"~hydra/{group}" for group in ("help", "hydra_help", "hydra_logging", "job_logging",
+             "launcher", "output", "sweeper")]  # fmt: skip
+"""Of Hydra's own configuration nothing is wanted, and composing it takes a tenth of the time."""
+
 
 def register_schema(plan: str = floor_plans.DEFAULT) -> None:
     """Makes known to Hydra what all groups lie on; safe to call again.
 
     The node ``schema`` holds the dataclasses' defaults, and ``plan``, on top of it, what a floor
-    plan sets. All that a user writes, in a group's file or as an override, is above both.
-
-    Args:
-        plan: the name of a floor plan, or a path.
+    plan, named or by its path, sets. All that a user writes is above both.
 
     Raises:
         ConfigError: there is no such plan, or it sets what it may not.
@@ -49,35 +53,23 @@ def register_schema(plan: str = floor_plans.DEFAULT) -> None:
     except ValueError as error:
         raise ConfigError(f"{error}.") from error
     store = ConfigStore.instance()
-    store.store(name="schema", node=schema_node())
+    if "schema.yaml" not in store.list(""):  # a copy is made of it
+        store.store(name="schema", node=schema_node())
     store.store(name="plan", node={"env": values})
 
 
 def compose(overrides: Sequence[str] = ()) -> Config:
-    """Builds the configuration that Hydra overrides describe.
-
-    Args:
-        overrides: such as ``env.robots=4`` or ``strategy=krum``.
-
-    Returns:
-        The configuration, checked.
+    """The checked configuration that Hydra overrides such as ``env.robots=4`` describe.
 
     Raises:
         ConfigError: a wrong key, value or combination.
     """
-    return composed(parse(overrides))
-
-
-def composed(overrides: Sequence[Override]) -> Config:
-    """Builds the configuration that parsed overrides describe; see ``compose``.
-
-    Args:
-        overrides: from ``conf.overrides.parse``.
-    """
-    folders = own_groups.folders_of(overrides)
-    rest = lines([each for each in overrides if each.key_or_group != own_groups.KEY])
-    given = [*rest, own_groups.override_of(folders)] if folders else rest
-    asked = [str(each.value()) for each in overrides if each.key_or_group == PLAN]
+    parsed = parse(overrides)
+    folders = own_groups.folders_of(parsed)
+    given = lines([each for each in parsed if each.key_or_group != own_groups.KEY])
+    if folders:
+        given.append(own_groups.override_of(folders))
+    asked = [str(each.value()) for each in parsed if each.key_or_group == PLAN]
     plan = located_plan(asked[-1] if asked else floor_plans.DEFAULT, folders)
     node = _composed_on(plan, given)
     if located_plan(node.env.plan, folders) != plan:  # a group's file names another one
@@ -88,7 +80,7 @@ def composed(overrides: Sequence[Override]) -> Config:
         _find_files(node, folders)
     except OmegaConfBaseException as error:
         raise ConfigError(f"{first_sentence(error)}.") from error
-    return from_node(node)
+    return _checked(node)
 
 
 def _find_files(node: DictConfig, folders: Sequence[Path]) -> None:
@@ -111,7 +103,7 @@ def _composed_on(plan: str, overrides: list[str]) -> DictConfig:
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(FOLDER), version_base="1.3", job_name="risfleet"):
         try:
-            return hydra_compose("config", overrides=overrides)
+            return hydra_compose("config", overrides=[*overrides, *_NO_HYDRA])
         except YAMLError as error:
             say = " ".join(line.strip() for line in str(error).splitlines())
             raise ConfigError(f"a group's file is no YAML: {say}.") from error
@@ -119,20 +111,19 @@ def _composed_on(plan: str, overrides: list[str]) -> DictConfig:
             raise ConfigError(sentence(error)) from error
 
 
-def from_node(node: DictConfig) -> Config:
-    """Turns a composed node into a checked configuration.
-
-    Raises:
-        ConfigError: a wrong value or combination.
-    """
+def _checked(node: DictConfig, *, typed: bool = True) -> Config:
+    """A node as a checked configuration; stored values, not typed, are put on the schema."""
     try:
-        values = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
-        config = OmegaConf.to_object(OmegaConf.merge(schema_node(), values))
+        values: Any = node
+        if not typed:
+            values = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+            drop_removed(values)
+            values = OmegaConf.merge(schema_node(), values)
+        config = OmegaConf.to_object(values)
     except OmegaConfBaseException as error:
         raise ConfigError(first_sentence(error)) from error
     assert isinstance(config, Config)
-    found = problems(config)
-    if found:
+    if found := problems(config):
         raise ConfigError.of(found)
     return config
 
@@ -143,21 +134,25 @@ def overridden(config: Config, overrides: Sequence[str]) -> Config:
     Raises:
         ConfigError: a wrong key, value or combination.
     """
-    node = OmegaConf.create(to_yaml(config))
+    node = writable(config)
     for override in parse(overrides):
         OmegaConf.update(node, override.key_or_group, override.value())
-    assert isinstance(node, DictConfig)
-    return from_node(node)
+    return _checked(node)
 
 
 def to_yaml(config: Config) -> str:
-    """The whole configuration as YAML."""
-    return OmegaConf.to_yaml(OmegaConf.structured(config))
+    """The whole configuration as YAML, which messages and files of a run hold again and again."""
+    return _yaml_of(json.dumps(dataclasses.asdict(config)))
+
+
+@lru_cache(maxsize=8)
+def _yaml_of(values: str) -> str:
+    return OmegaConf.to_yaml(OmegaConf.merge(schema_node(), json.loads(values)))
 
 
 @lru_cache(maxsize=8)
 def from_yaml(text: str) -> Config:
-    """Reads what ``to_yaml`` wrote.
+    """Reads what ``to_yaml`` wrote, here or in an earlier version.
 
     Raises:
         ConfigError: it does not fit this version's schema.
@@ -168,4 +163,4 @@ def from_yaml(text: str) -> Config:
         raise ConfigError(f"the configuration is no YAML: {first_sentence(error)}.") from error
     if not isinstance(node, DictConfig):
         raise ConfigError("the configuration is no mapping of keys to values.")
-    return from_node(node)
+    return _checked(node, typed=False)

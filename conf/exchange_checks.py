@@ -11,13 +11,12 @@ from conf.schema import Config, FederationConfig, changed, has_rooms
 from conf.strategy_checks import FULL_NUMBER
 from env.validate import Problem
 
+AVERAGES = ("fedavg", "fedprox", "fedmedian", "krum")
+"""Strategies without a memory of the whole model: they combine a part of it as well."""
+
 
 def rules(config: Config) -> Iterator[Problem]:
-    """What is wrong with how weights are exchanged: keys, their values, and what is allowed.
-
-    Args:
-        config: free of other problems.
-    """
+    """What is wrong with how weights are exchanged, of a configuration otherwise right."""
     yield from _attack_problems(config)
     yield from _loss_problems(config)
     chosen = config.federation.compression
@@ -96,3 +95,38 @@ def _loss_problems(config: Config) -> Iterator[Problem]:
     if name == "visits" and federation.losses.late:
         say = "0.0 with strategy=visits, which counts by what was visited in the same window"
         yield "federation.losses.late", federation.losses.late, say
+
+
+def own_rules(config: Config) -> Iterator[Problem]:
+    """With what robots may keep networks that differ (``federation.own``, ``strategy=gossip``)."""
+    own = config.federation.own
+    if own != "none":
+        key = "federation.own"
+        if not robots_learn(config):
+            yield key, own, "none where robots have no networks (scheme.agents, scheme.robots)"
+        elif has_rooms(config):
+            yield key, own, "none in a building: a room hands on one network"
+        elif config.strategy.name not in AVERAGES:
+            say = f"none with strategy={config.strategy.name}: {', '.join(AVERAGES)} combine a part"
+            yield key, own, say
+    elif config.strategy.name != "gossip":
+        return
+    who = "strategy=gossip" if own == "none" else f"federation.own={own}"
+    for key, value, allowed in changed(config.federation.compression):
+        if key in ("down", "targets"):
+            say = f"{allowed} with {who}: robots are not given one model"
+            yield f"federation.compression.{key}", value, say
+    yield from _altered(config, who)
+
+
+def _altered(config: Config, who: str) -> Iterator[Problem]:
+    """What would change or hold back what a robot keeps of its own, for it takes what it sent."""
+    say = f"with {who}: what robots keep comes back as they sent it"
+    if config.federation.compression.up != "none":
+        yield "federation.compression.up", config.federation.compression.up, f"none {say}"
+    if config.strategy.dp.name == "local":
+        yield "strategy.dp.name", "local", f"none {say}"
+    if config.attack.name != "none":
+        yield "attack.name", config.attack.name, f"none {say}"
+    for key, value, off in missing_uploads(config.federation):
+        yield key, value, f"{shown(off)} {say}"

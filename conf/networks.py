@@ -34,7 +34,6 @@ def robot_network(config: Config) -> NetworkShape:
         ObservationEncoder(config.env).local_size,
         tuple(config.agent.hidden),
         robot_actions(config).count,
-        config.agent.dueling,
     )
 
 
@@ -50,7 +49,7 @@ def ap_network(config: Config) -> NetworkShape:
     elif config.scheme.agents == "branching":
         outputs = central_heads(config).actions
     inputs = ObservationEncoder(config.env).global_size
-    return NetworkShape(inputs, tuple(config.agent.hidden), outputs, config.agent.dueling)
+    return NetworkShape(inputs, tuple(config.agent.hidden), outputs)
 
 
 def joint_actions(config: Config) -> int:

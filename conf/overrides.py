@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import difflib
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from conf import own_groups
 from conf.errors import ConfigError, shown
+from conf.removed_keys import check_removed
 from conf.schema import Config
 from conf.user_paths import LISTED, PATHS, with_quoted_path
 from env.validate import hints_of, refused
@@ -43,8 +43,7 @@ def parse(
 ) -> list[Override]:
     """Parses overrides and checks each by itself.
 
-    What an override says is read from what comes back, nowhere from its text: ``input_line`` is
-    the text for Hydra, in which paths are quoted.
+    Of what comes back, ``input_line`` is the text for Hydra, in which paths are quoted.
 
     Args:
         texts: such as ``env.robots=4``.
@@ -56,14 +55,13 @@ def parse(
     Raises:
         ConfigError: names the first mistake.
     """
-    schema = copy.deepcopy(schema_node())  # values are tried in it
     found = [_parsed(text, with_quoted_path(text, several=sweep)) for text in texts]
     roots = [FOLDER, *own_groups.folders_of(found)]
     for text, override in zip(texts, found, strict=True):
         if is_hydras(override):
             _check_hydras(text, override, launcher=launcher, sweeper=sweeper)
         elif override.key_or_group != own_groups.KEY:
-            _check(text, override, schema, roots, sweep=sweep)
+            _check(text, override, roots, sweep=sweep)
     return found
 
 
@@ -94,43 +92,46 @@ def lines(overrides: Sequence[Override]) -> list[str]:
 
 
 def combinations(overrides: Sequence[Override]) -> list[list[str]]:
-    """Every combination of the values that overrides list, the last one varying fastest.
-
-    Args:
-        overrides: parsed, of a run's keys.
+    """Every combination of the values that overrides of keys list, the last varying fastest.
 
     Raises:
         ConfigError: values that cannot be listed, such as an interval.
     """
     axes = []
     for override in overrides:
-        key = override.get_key_element()
-        try:
-            values = (
-                list(override.sweep_string_iterator())
-                if override.is_sweep_override()
-                else [override.get_value_element_as_str()]
-            )
-        except HydraException as error:
-            say = "allowed in a sweep are values, as in KEY=A,B,C, or range(...)"
-            raise ConfigError(f"{override.input_line}: {say}.") from error
-        axes.append([f"{key}={value}" for value in values])
+        if not override.is_sweep_override():
+            values = [override.get_value_element_as_str()]
+        else:
+            try:
+                values = list(override.sweep_string_iterator())
+            except HydraException as error:
+                say = "allowed in a sweep are values, as in KEY=A,B,C, or range(...)"
+                raise ConfigError(f"{override.input_line}: {say}.") from error
+        axes.append([f"{override.get_key_element()}={value}" for value in values])
     return [list(combination) for combination in itertools.product(*axes)]
 
 
 @cache
 def schema_node() -> DictConfig:
-    """The schema as a node that copies of can be merged into; one for all, to be read alone."""
-    node: DictConfig = OmegaConf.structured(Config)
-    _set_writable(node)  # frozen dataclasses make it read-only
+    """The schema, to be read and merged alone."""
+    return writable(Config())
+
+
+@cache
+def _trial() -> DictConfig:
+    """The schema once more, in which values are tried."""
+    return writable(Config())
+
+
+def writable(config: Config) -> DictConfig:
+    """A configuration as a typed node, which frozen dataclasses alone would make read-only."""
+    node: DictConfig = OmegaConf.structured(config)
+    groups: list[Any] = [node]
+    for group in groups:
+        OmegaConf.set_readonly(group, None)
+        found = [group._get_node(key) for key in group]
+        groups += [each for each in found if isinstance(each, DictConfig)]
     return node
-
-
-def _set_writable(node: Any) -> None:
-    if isinstance(node, DictConfig):
-        OmegaConf.set_readonly(node, None)
-        for key in node:
-            _set_writable(node._get_node(key))
 
 
 def _check_hydras(text: str, override: Override, *, launcher: bool, sweeper: bool) -> None:
@@ -152,9 +153,7 @@ def _check_hydras(text: str, override: Override, *, launcher: bool, sweeper: boo
         raise ConfigError(f"{text}: allowed is one {' or '.join(plugins)} for all runs.")
 
 
-def _check(
-    text: str, override: Override, schema: DictConfig, roots: Sequence[Path], *, sweep: bool
-) -> None:
+def _check(text: str, override: Override, roots: Sequence[Path], *, sweep: bool) -> None:
     key = override.key_or_group
     if not key:
         raise ConfigError(f"{text!r} is not of the form key=value.")
@@ -166,9 +165,9 @@ def _check(
     if key in GROUPS:
         own_groups.check_choice(override, roots)
     elif override.is_sweep_override():
-        check_key(key)
+        _field(key)
     else:
-        _check_value(key, override, schema)
+        _check_value(key, override)
 
 
 def _lists_paths(override: Override) -> bool:
@@ -179,73 +178,59 @@ def _lists_paths(override: Override) -> bool:
     return "," in value and not Path(value).exists()
 
 
-def check_key(key: str) -> Any:
-    """The default value at a key.
+@cache
+def _fields() -> dict[str, tuple[Any, Any]]:
+    """Each key, and each group of keys, with its default and its annotation."""
+    return dict(_walk(Config(), ""))
+
+
+def _walk(group: Any, above: str) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    for name, hint in hints_of(group.__class__).items():
+        value = getattr(group, name)
+        yield above + name, (value, hint)
+        if dataclasses.is_dataclass(value):
+            yield from _walk(value, f"{above}{name}.")
+
+
+def _field(key: str) -> tuple[Any, Any]:
+    """The default and the annotation of a key.
 
     Raises:
         ConfigError: there is no such key.
     """
-    value: Any = Config()
-    for depth, name in enumerate(parts := key.split(".")):
-        names = (
-            [f.name for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
-        )
-        if name not in names:
-            above = ".".join(parts[:depth])
-            raise ConfigError(_unknown_key(key, [f"{above}.{n}" if above else n for n in names]))
-        value = getattr(value, name)
-    return value
-
-
-def _check_value(key: str, override: Override, schema: DictConfig) -> None:
-    default = check_key(key)
-    if dataclasses.is_dataclass(default):
-        raise ConfigError(
-            f"{key} is a group of keys: set one of them, such as "
-            f"{key}.{dataclasses.fields(default)[0].name}."
-        )
-    if key in PATHS and override.value() == "":
-        raise ConfigError.of([(key, "", "a path")])
-    value, hint = override.value(), hint_of(key)
-    try:
-        OmegaConf.update(schema, key, value)
-    except OmegaConfBaseException as error:
-        kind = refused(value, hint)
-        if isinstance(default, list):
-            kind = f"a list such as {shown(default)}"
-        raise ConfigError.of([(key, value, kind)]) from error
-    if value == "???":  # to OmegaConf a value that is still to come
-        raise ConfigError.of([(key, value, refused(value, hint) or "a value")])
+    if key in _fields():
+        return _fields()[key]
+    check_removed(key)
+    if close := difflib.get_close_matches(key, [*all_keys(), *GROUPS], n=3, cutoff=0.6):
+        raise ConfigError(f"{key} is no key: did you mean {' or '.join(close)}?")
+    above = key
+    while above and above not in _fields():
+        above = above.rpartition(".")[0]
+    siblings = ", ".join(each for each in _fields() if each.rpartition(".")[0] == above)
+    raise ConfigError(f"{key} is no key: allowed here are {siblings or 'no further keys'}.")
 
 
 def hint_of(key: str) -> Any:
-    """The annotation of a key's field.
-
-    Raises:
-        ConfigError: there is no such key.
-    """
-    check_key(key)
-    *above, name = key.split(".")
-    group: type = type(check_key(".".join(above)) if above else Config())
-    return hints_of(group)[name]
-
-
-def _unknown_key(key: str, siblings: Sequence[str]) -> str:
-    every = [*all_keys(), *GROUPS]
-    close = difflib.get_close_matches(key, every, n=3, cutoff=0.6)
-    if close:
-        return f"{key} is no key: did you mean {' or '.join(close)}?"
-    return f"{key} is no key: allowed here are {', '.join(siblings) or 'no further keys'}."
+    """The annotation of a key's field; ``_field`` says what it raises."""
+    return _field(key)[1]
 
 
 def all_keys() -> list[str]:
     """Every key of a run."""
-    return _all_keys(Config())
+    return [key for key, (value, _) in _fields().items() if not dataclasses.is_dataclass(value)]
 
 
-def _all_keys(value: Any, above: str = "") -> list[str]:
-    keys: list[str] = []
-    for item in dataclasses.fields(value):
-        inner, key = getattr(value, item.name), f"{above}{item.name}"
-        keys += _all_keys(inner, f"{key}.") if dataclasses.is_dataclass(inner) else [key]
-    return keys
+def _check_value(key: str, override: Override) -> None:
+    (default, hint), value = _field(key), override.value()
+    if dataclasses.is_dataclass(default):
+        first = f"{key}.{dataclasses.fields(default)[0].name}"
+        raise ConfigError(f"{key} is a group of keys: set one of them, such as {first}.")
+    if key in PATHS and value == "":
+        raise ConfigError.of([(key, "", "a path")])
+    try:
+        OmegaConf.update(_trial(), key, value)
+    except OmegaConfBaseException as error:
+        kind = f"a list such as {shown(default)}" if isinstance(default, list) else ""
+        raise ConfigError.of([(key, value, kind or refused(value, hint))]) from error
+    if value == "???":  # to OmegaConf a value that is still to come
+        raise ConfigError.of([(key, value, refused(value, hint) or "a value")])

@@ -31,36 +31,24 @@ def folders_of(overrides: Sequence[Override]) -> list[Path]:
     Raises:
         ConfigError: one is no folder that exists, or of a kind that cannot be looked into.
     """
-    return [
-        folder
-        for override in overrides
-        if override.key_or_group == KEY
-        for folder in _folders(override)
-    ]
-
-
-def _folders(override: Override) -> list[Path]:
-    value = override.value()
-    if not isinstance(value, list):
-        raise ConfigError(f"{override.input_line}: allowed is a list, [file://DIR].")
     found = []
-    for item in value:
-        text = str(item.text if isinstance(item, QuotedString) else item)
-        folder = user_path(text.removeprefix(_SCHEME))
-        if not folder.is_dir():
-            allowed = "a list of folders that exist, as in [file:///home/me/conf]"
-            raise ConfigError.of([(KEY, f"[{text}]", allowed)])
-        found.append(folder.absolute())
+    for override in overrides:
+        if override.key_or_group != KEY:
+            continue
+        if not isinstance(items := override.value(), list):
+            raise ConfigError(f"{override.input_line}: allowed is a list, [file://DIR].")
+        for item in items:
+            text = str(item.text if isinstance(item, QuotedString) else item)
+            folder = user_path(text.removeprefix(_SCHEME))
+            if not folder.is_dir():
+                allowed = "a list of folders that exist, as in [file:///home/me/conf]"
+                raise ConfigError.of([(KEY, f"[{text}]", allowed)])
+            found.append(folder.absolute())
     return found
 
 
 def files(group: str, roots: Iterable[Path]) -> dict[str, list[Path]]:
-    """The files of a group by the name that chooses them.
-
-    Args:
-        group: such as ``experiment``.
-        roots: folders to look into.
-    """
+    """The files of a group such as ``experiment`` in folders, by the name that chooses them."""
     found: dict[str, list[Path]] = {}
     for root in roots:
         for path in sorted((root / group).glob("*.yaml")):

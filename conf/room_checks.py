@@ -11,11 +11,7 @@ from env.validate import Problem
 
 
 def rules(config: Config) -> Iterator[Problem]:
-    """What is wrong with a building: keys, their values, and what is allowed.
-
-    Args:
-        config: free of other problems.
-    """
+    """What is wrong with a building, of a configuration otherwise right."""
     rooms, on_loss = config.rooms, config.federation.on_loss
     if on_loss == "miss" and not (has_rooms(config) and config.runtime.name == "deployment"):
         say = "wait or abort here: rooms of a building in a deployment alone can miss a round"
@@ -26,10 +22,8 @@ def rules(config: Config) -> Iterator[Problem]:
             yield f"rooms.{key}", value, say
         return
     if config.scheme.agents != "federated" or config.scheme.robots != "learned":
-        say = (
-            f"1 with scheme.agents={config.scheme.agents} and scheme.robots={config.scheme.robots}"
-        )
-        yield "rooms.count", rooms.count, f"{say}: rooms share what robots learn"
+        who = f"scheme.agents={config.scheme.agents} and scheme.robots={config.scheme.robots}"
+        yield "rooms.count", rooms.count, f"1 with {who}: rooms share what robots learn"
     if config.strategy.name in ("none", "gossip"):
         say = "any other in a building: a room hands on one network"
         yield "strategy.name", config.strategy.name, say
@@ -48,11 +42,8 @@ def rules(config: Config) -> Iterator[Problem]:
         say = "any other across rooms: the proximal term is that of strategy, inside a room"
         yield "rooms.strategy.name", "fedprox", say
     if rooms.strategy.name in strategy_checks.FULL_NUMBER and on_loss == "miss":
-        yield (
-            "federation.on_loss",
-            "miss",
-            f"wait or abort with {rooms.strategy.name}, which needs all",
-        )
+        say = f"wait or abort with {rooms.strategy.name}, which needs all"
+        yield "federation.on_loss", "miss", say
     count = taking_part(config)
     counted = "rooms.count" if count == rooms.count else "rooms.fraction * rooms.count"
     for key, value, say in strategy_checks.problems(rooms.strategy, count, counted):

@@ -71,7 +71,7 @@ def rooms_of(config: Config, *, check: bool = True) -> list[Room]:
     The same seed gives the same rooms, and a further room changes none before it.
 
     Args:
-        config: a building's configuration, free of other problems.
+        config: a building's, free of other problems.
         check: whether to look at each room, which takes most of the time.
 
     Raises:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from agent.config import AgentConfig
 from conf.networks import ap_actions, joint_actions
 from conf.schema import Config, SchemeConfig
 from env.downlink.combinations import count_combinations
@@ -16,19 +15,15 @@ MOST_JOINT_ACTIONS = 100_000
 
 
 def rules(config: Config) -> Iterator[Problem]:
-    """What is wrong with a scheme: keys, their values, and what is allowed.
-
-    Args:
-        config: free of other problems.
-    """
+    """What is wrong with a scheme, of a configuration otherwise right: what is found first."""
     scheme = config.scheme
     found = list(_unread_keys(scheme))
-    if not found and scheme.power != "robots":
-        found = list(_power_problems(config))
-    if not found and scheme.agents != "federated":
-        found = list(_central_problems(config))
-    if not found and scheme.robots != "learned":
-        found = list(_idle_problems(config))
+    if scheme.power != "robots":
+        found = found or list(_power_problems(config))
+    if scheme.agents != "federated":
+        found = found or list(_central_problems(config))
+    if scheme.robots != "learned":
+        found = found or list(_idle_problems(config))
     yield from found
 
 
@@ -55,7 +50,14 @@ def _power_problems(config: Config) -> Iterator[Problem]:
         say = f"robots with scheme.robots={scheme.robots}, which has a rule for powers of its own"
         yield "scheme.power", scheme.power, say
     elif scheme.power == "search":
-        yield from _search_problems(config)
+        env = config.env
+        count = max(count_combinations(env, served) for served in range(1, env.robots + 1))
+        if count > MAX_COMBINATIONS:
+            say = (
+                f"fewer with {who}: these are {_about(count)} combinations of powers in"
+                f" a slot, and at most {MAX_COMBINATIONS:,} are searched"
+            )
+            yield "env.power.levels", power.levels, say
     elif scheme.phase != "learned":
         say = f"learned with {who}: one DQN picks the phase and the powers together"
         yield "scheme.phase", scheme.phase, say
@@ -68,18 +70,6 @@ def _power_problems(config: Config) -> Iterator[Problem]:
             f" and at most {MOST_JOINT_ACTIONS:,} are taken"
         )
         yield "env.power.levels", power.levels, say
-
-
-def _search_problems(config: Config) -> Iterator[Problem]:
-    """More powers than are searched in a slot, with any number of robots driving."""
-    env = config.env
-    count = max(count_combinations(env, served) for served in range(1, env.robots + 1))
-    if count > MAX_COMBINATIONS:
-        say = (
-            f"fewer with scheme.power=search: these are {_about(count)} combinations of powers in"
-            f" a slot, and at most {MAX_COMBINATIONS:,} are searched"
-        )
-        yield "env.power.levels", env.power.levels, say
 
 
 def _about(count: int) -> str:
@@ -101,28 +91,13 @@ def _central_problems(config: Config) -> Iterator[Problem]:
             yield f"scheme.{key}", getattr(config.scheme, key), f"learned with {who}"
     if (order := config.env.state.order) != "index":
         yield "env.state.order", order, f"index with {who}: it acts for robots by their index"
-    if config.scheme.agents == "branching":
-        yield from _head_problems(config.agent)
     count = joint_actions(config)
     if config.scheme.agents == "centralized" and count > MOST_JOINT_ACTIONS:
-        yield (
-            "env.robots",
-            config.env.robots,
+        say = (
             f"fewer with {who}: the joint actions of all are {count:,}, and at most"
-            f" {MOST_JOINT_ACTIONS:,} are taken (scheme.agents=branching has no such bound)",
+            f" {MOST_JOINT_ACTIONS:,} are taken (scheme.agents=branching has no such bound)"
         )
-
-
-def _head_problems(agent: AgentConfig) -> Iterator[Problem]:
-    """Ways of learning that a network with several heads does not have."""
-    who = "with scheme.agents=branching: several heads have no such way of learning here"
-    for key, value, off in (
-        ("n_step", agent.n_step, 1),
-        ("dueling", agent.dueling, False),
-        ("priority.alpha", agent.priority.alpha, 0.0),
-    ):
-        if value != off:
-            yield f"agent.{key}", value, f"{str(off).lower()} {who}"
+        yield "env.robots", config.env.robots, say
 
 
 def _idle_problems(config: Config) -> Iterator[Problem]:

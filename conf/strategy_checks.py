@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from conf.errors import ConfigError, shown
 from conf.exchange_schema import PrivacyConfig
 from conf.python_values import value_text
-from conf.schema import Config, StrategyConfig, changed
+from conf.schema import StrategyConfig, changed
 from env.validate import Problem
 
 KEYS: dict[str, frozenset[str]] = {
@@ -38,24 +38,12 @@ PRIVACY_KEYS: dict[str, frozenset[str]] = {
 MEANS = ("fedavg", "fedprox")
 """Strategies whose result moves by at most C / K where one of K steps of norm C is taken out."""
 
-
 FULL_NUMBER = frozenset({"krum", "multikrum", "bulyan", "fedtrimmedavg"})
 """Those that leave out so many of the uploads that there are, so that none may miss."""
 
 
-def rules(config: Config) -> Iterator[Problem]:
-    """The rules, of a whole configuration."""
-    return problems(config.strategy, config.env.robots)
-
-
-def problems(config: StrategyConfig, count: int, counted: str = "env.robots") -> Iterator[Problem]:
-    """What is wrong with a configuration: keys, their values, and what is allowed.
-
-    Args:
-        config: the group ``strategy``.
-        count: how many are averaged.
-        counted: the key that says so.
-    """
+def problems(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
+    """What is wrong with a strategy of so many uploads, as the key ``counted`` says."""
     if config.name not in KEYS:
         yield "strategy.name", config.name, f"one of {', '.join(KEYS)}"
         return
@@ -112,33 +100,21 @@ def _gossip(config: StrategyConfig, count: int, counted: str) -> Iterator[Proble
 
 
 def _krum(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
-    """Krum tolerates f of K robots where K >= 2f + 3 (Blanchard et al., 2017, Proposition 2)."""
-    yield from _tolerated(config, count, counted, "Krum", 2)
+    """Whether K is large enough for f, and of multikrum no more picked than may be honest.
 
-
-def _multikrum(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
-    """Krum's bound, and no more uploads than may be honest."""
-    yield from _krum(config, count, counted)
-    if config.selected > count - config.malicious:
-        allowed = f"from 1 to {counted} - malicious = {count - config.malicious}"
-        yield "strategy.selected", config.selected, allowed
-
-
-def _bulyan(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
-    """Bulyan needs K >= 4f + 3 (El Mhamdi et al., 2018, section 4); Flower's skips otherwise."""
-    yield from _tolerated(config, count, counted, "Bulyan", 4)
-
-
-def _tolerated(
-    config: StrategyConfig, count: int, counted: str, rule: str, times: int
-) -> Iterator[Problem]:
-    """A rule that needs K to be at least so many times f and 3."""
+    Krum needs K >= 2f + 3 (Blanchard et al., 2017, Proposition 2), Bulyan K >= 4f + 3 (El Mhamdi
+    et al., 2018, section 4), which Flower's skips otherwise.
+    """
+    rule, times = ("Bulyan", 4) if config.name == "bulyan" else ("Krum", 2)
     most = (count - 3) // times
     need = f"{rule} needs {counted}={count} to be at least {times} malicious + 3"
     if most < 0:
         yield "strategy.name", config.name, f"{counted} of at least 3, not {count}"
     elif config.malicious > most:
         yield "strategy.malicious", config.malicious, f"from 0 to {most}: {need}"
+    if config.name == "multikrum" and config.selected > count - config.malicious:
+        allowed = f"from 1 to {counted} - malicious = {count - config.malicious}"
+        yield "strategy.selected", config.selected, allowed
 
 
 def _fedadam(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
@@ -152,15 +128,14 @@ def _own(config: StrategyConfig, count: int, counted: str) -> Iterator[Problem]:
     """Whether it is named; whether it is there is found where it is made."""
     if config.target is None:
         yield "strategy.target", None, "an installed strategy's name, or package:Class"
-    options = {} if config.options is None else config.options
-    allowed = "a mapping from words, such as {beta: 0.2}, or null"
-    if not isinstance(options, dict):
-        yield "strategy.options", options, allowed
-        return
+    key, options = "strategy.options", {} if config.options is None else config.options
     try:
-        value_text("strategy.options", options)
+        value_text(key, options)
+        wrong = not isinstance(options, dict)
     except ConfigError:
-        yield "strategy.options", options, allowed
+        wrong = True
+    if wrong:
+        yield key, options, "a mapping from words, such as {beta: 0.2}, or null"
 
 
 _RULES: dict[str, Callable[[StrategyConfig, int, str], Iterator[Problem]]] = {
@@ -169,7 +144,7 @@ _RULES: dict[str, Callable[[StrategyConfig, int, str], Iterator[Problem]]] = {
     "fedtrimmedavg": _fedtrimmedavg,
     "gossip": _gossip,
     "krum": _krum,
-    "multikrum": _multikrum,
-    "bulyan": _bulyan,
+    "multikrum": _krum,
+    "bulyan": _krum,
     "own": _own,
 }

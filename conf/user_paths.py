@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+from contextlib import suppress
 from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -33,7 +34,7 @@ def user_path(text: str) -> Path:
     Args:
         text: an argument, or what stands behind ``KEY=``.
     """
-    return Path(str_path(text))
+    return Path(_expanded(text))
 
 
 def with_quoted_path(text: str, *, several: bool = False) -> str:
@@ -52,17 +53,12 @@ def with_quoted_path(text: str, *, several: bool = False) -> str:
         if _FUNCTION.match(found["value"]):
             return text
         values = _VALUE.findall(found["value"])
-    return f"{found['key']}={','.join(quoted(str_path(value)) for value in values)}"
+    return f"{found['key']}={','.join(quoted(_expanded(value)) for value in values)}"
 
 
 def quoted(text: str) -> str:
     """A text as Hydra takes it as it is, but for interpolations."""
     return QuotedString(text, Quote.single).with_quotes()
-
-
-def str_path(text: str) -> str:
-    """``user_path`` as text, in which an empty one stays empty."""
-    return os.path.expanduser(_unquoted(text))
 
 
 def resumed_folder(text: str) -> Path | None:
@@ -76,12 +72,10 @@ def pasted(key: str, path: Path) -> str:
     return shlex.quote(f"{key}={path}")
 
 
-def _unquoted(text: str) -> str:
-    """A text without the quotes around all of it, read as Hydra reads them."""
-    if len(text) < 2 or text[0] not in "'\"" or text[-1] != text[0]:
-        return text
-    try:
-        value = OverridesParser.create().parse_override(f"x={text}").value()
-    except HydraException:
-        return text
-    return value if isinstance(value, str) else text
+def _expanded(text: str) -> str:
+    """``user_path`` as text, in which an empty one stays empty; Hydra reads the quotes."""
+    if len(text) > 1 and text[0] in "'\"" and text[-1] == text[0]:
+        with suppress(HydraException):
+            value = OverridesParser.create().parse_override(f"x={text}").value()
+            text = value if isinstance(value, str) else text
+    return os.path.expanduser(text)

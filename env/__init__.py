@@ -36,22 +36,22 @@ __all__ = [
 SINGLE_ROBOT = "risfleet/SingleRobot-v0"
 FLEET = "risfleet/Fleet-v0"
 _HOMES = {
-    "EnvConfig": "env.config",
-    "RISFleetParallelEnv": "env.apis.parallel_env",
-    "Scenario": "env.scenario",
-    "SingleRobotEnv": "env.apis.single_robot",
-    "SingleRobotVectorEnv": "env.apis.single_robot_vector",
-    "World": "env.world",
-    "checked_config": "env.checks",
-    "register_channel_model": "env.plugins",
-    "register_reward": "env.plugins",
+    "env.apis.parallel_env": ["RISFleetParallelEnv"],
+    "env.apis.single_robot": ["SingleRobotEnv"],
+    "env.apis.single_robot_vector": ["SingleRobotVectorEnv"],
+    "env.checks": ["checked_config"],
+    "env.config": ["EnvConfig"],
+    "env.plugins": ["register_channel_model", "register_reward"],
+    "env.scenario": ["Scenario"],
+    "env.world": ["World"],
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 with contextlib.suppress(ImportError):

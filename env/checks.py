@@ -20,9 +20,6 @@ def checked_config(config: EnvConfig | Mapping[str, Any] | None = None) -> EnvCo
             ``{"robots": 2, "ris": {"side": 0}}``, or from a floor plan, as in
             ``{"plan": "corridor", "robots": 2}``; or None, for the defaults.
 
-    Returns:
-        The configuration.
-
     Raises:
         ValueError: naming each key, the value it has and what is allowed there.
     """
@@ -62,12 +59,9 @@ def planned_config(plan: str) -> EnvConfig:
 
 
 def replaced(base: Any, values: Any, key: str) -> Any:
-    """A dataclass with some fields replaced, whatever their types; sequences become lists.
+    """A dataclass with some fields replaced, nested alike; sequences become lists.
 
-    Args:
-        base: a dataclass, further ones nested in it.
-        values: from the names of fields to their values, nested alike.
-        key: what the dataclass is called in a message.
+    ``key`` is what the dataclass is called in a message.
 
     Raises:
         ValueError: there is no such field.

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from env import plugins, validate
-from env.config import MAX_CELLS, MAX_PHASE_ACTIONS, EnvConfig, RoomConfig
+from env.arrays import Bools, Floats, Ints
+from env.config import MAX_CELLS, MAX_PAIRS, MAX_PHASE_ACTIONS, EnvConfig, RoomConfig, phase_actions
 from env.geometry.distances import distance_m
 from env.geometry.floor import Floor
 from env.mdp import lateness
 from env.radio import channel_file, mounting
-from env.ris_checks import codebook_problems, pair_problems
 from env.validate import Problem
 
 
@@ -25,46 +24,52 @@ def problems(config: EnvConfig) -> list[Problem]:
 
 
 def _geometry_problems(config: EnvConfig) -> list[Problem]:
+    """Of the room and all that has a place in it, each part counting on those before it."""
+    starts = _fixed_start_problems if config.tasks.start == "fixed" else _start_problems
+    for rule in (
+        _room_problems,
+        mounting.problems,
+        _destination_problems,
+        starts,
+        _way_problems,
+        lateness.given_problems,
+    ):
+        if found := list(rule(config)):
+            return found
+    return []
+
+
+def _room_problems(config: EnvConfig) -> Iterator[Problem]:
     room = config.room
-    found: list[Problem] = []
     for key, side in (("env.room.width_m", room.width_m), ("env.room.depth_m", room.depth_m)):
         cells = side / room.cell_m
         if abs(cells - round(cells)) > 1e-9 or round(cells) < 2:
-            found.append((key, side, f"a multiple of env.room.cell_m={room.cell_m}, at least two"))
+            yield key, side, f"a multiple of env.room.cell_m={room.cell_m}, at least two"
     if room.width_m * room.depth_m / room.cell_m**2 > MAX_CELLS:
-        found.append(("env.room.cell_m", room.cell_m, f"a side with at most {MAX_CELLS} cells"))
+        yield "env.room.cell_m", room.cell_m, f"a side with at most {MAX_CELLS} cells"
     for key, position in (
         ("env.ap.position_m", config.ap.position_m),
         ("env.ris.position_m", config.ris.position_m),
     ):
         if not _numbers(position, 3) or not _inside(room, position, closed=True) or position[2] < 0:
-            found.append((key, position, "[x, y, z] in m inside the room or on its edge"))
+            yield key, position, "[x, y, z] in m inside the room or on its edge"
     for segment in config.walls.segments:
         if not _numbers(segment, 4) or segment[:2] == segment[2:]:
-            found.append(("env.walls.segments", segment, "segments [x0, y0, x1, y1] in m"))
-    starts = _fixed_start_problems if config.tasks.start == "fixed" else _start_problems
-    found = found or mounting.problems(config) or _destination_problems(config)
-    return found or starts(config) or _way_problems(config) or lateness.given_problems(config)
+            yield "env.walls.segments", segment, "segments [x0, y0, x1, y1] in m"
 
 
-def _destination_problems(config: EnvConfig) -> list[Problem]:
-    key = "env.tasks.destinations_m"
-    room = config.room
-    seen: set[tuple[int, ...]] = set()
-    found: list[Problem] = []
-    for destination in config.tasks.destinations_m:
-        if not _numbers(destination, 2) or not _inside(room, destination):
-            allowed = f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
-            found.append((key, destination, allowed))
-            continue
-        cell = _cell(room, destination)
-        if cell in seen:
-            found.append((key, destination, "destinations in cells of their own"))
-        seen.add(cell)
-    return found
+def _destination_problems(config: EnvConfig) -> Iterator[Problem]:
+    key, room, seen = "env.tasks.destinations_m", config.room, set()
+    for place in config.tasks.destinations_m:
+        if not _numbers(place, 2) or not _inside(room, place):
+            yield key, place, _in_the_room(room)
+        elif (cell := _cell(room, place)) in seen:
+            yield key, place, "destinations in cells of their own"
+        else:
+            seen.add(cell)
 
 
-def _start_problems(config: EnvConfig) -> list[Problem]:
+def _start_problems(config: EnvConfig) -> Iterator[Problem]:
     """Whether some cell is far enough from each destination; a drawn one may lie in the middle."""
     room, tasks = config.room, config.tasks
     destinations, number = _given_destinations(config)
@@ -77,10 +82,9 @@ def _start_problems(config: EnvConfig) -> list[Problem]:
         far_x = max(cell_x - half, room.width_m - half - cell_x)
         far_y = max(cell_y - half, room.depth_m - half - cell_y)
         reach = min(reach, math.hypot(far_x, far_y))
-    if tasks.start_distance_m <= reach:
-        return []
-    allowed = f"at most {reach:.4g}, since no cell is farther from one of the destinations"
-    return [("env.tasks.start_distance_m", tasks.start_distance_m, allowed)]
+    if tasks.start_distance_m > reach:
+        allowed = f"at most {reach:.4g}, since no cell is farther from one of the destinations"
+        yield "env.tasks.start_distance_m", tasks.start_distance_m, allowed
 
 
 def _given_destinations(config: EnvConfig) -> tuple[list[Any], int]:
@@ -90,60 +94,52 @@ def _given_destinations(config: EnvConfig) -> tuple[list[Any], int]:
     return ([] if tasks.destination == "random" else tasks.destinations_m[:number]), number
 
 
-def _fixed_start_problems(config: EnvConfig) -> list[Problem]:
+def _fixed_start_problems(config: EnvConfig) -> Iterator[Problem]:
     key, room, starts = "env.tasks.starts_m", config.room, config.tasks.starts_m
-    allowed = f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
-    found: list[Problem] = [
-        (key, at, allowed) for at in starts if not _numbers(at, 2) or not _inside(room, at)
-    ]
-    if found:
-        return found
+    off = [place for place in starts if not _numbers(place, 2) or not _inside(room, place)]
+    yield from ((key, place, _in_the_room(room)) for place in off)
+    if off:
+        return
     if len(starts) < config.robots:
         say = f"at least env.robots={config.robots} places with env.tasks.start=fixed"
-        return [(key, starts, say)]
+        yield key, starts, say
+        return
     cells = [_cell(room, start) for start in starts[: config.robots]]
     if config.collisions == "block" and len({*cells}) < len(cells):
-        return [(key, starts, "places in cells of their own with env.collisions=block")]
+        yield key, starts, "places in cells of their own with env.collisions=block"
+        return
     goals, _ = _given_destinations(config)
     if config.tasks.destination == "common":
         goals = goals * config.robots
-    return [
-        (key, start, "places off the cell of the robot's destination")
-        for start, goal in zip(starts, goals, strict=False)
-        if _cell(room, start) == _cell(room, goal)
-    ]
+    for start, goal in zip(starts, goals, strict=False):
+        if _cell(room, start) == _cell(room, goal):
+            yield key, start, "places off the cell of the robot's destination"
 
 
-def _way_problems(config: EnvConfig) -> list[Problem]:
+def _way_problems(config: EnvConfig) -> Iterator[Problem]:
     """With solid walls, whether given places are cut off, and whether starts are far enough."""
     if not config.walls.block_motion:
-        return []
+        return
     floor, tasks = Floor.from_config(config), config.tasks
     drivable, (goals, number) = floor.drivable(), _given_destinations(config)
     places = [("env.tasks.destinations_m", goal) for goal in goals]
     if tasks.start == "fixed":
         places += [("env.tasks.starts_m", start) for start in tasks.starts_m[: config.robots]]
     allowed = "places that the rest of the floor can reach with env.walls.block_motion=true"
-    found: list[Problem] = [
-        (key, place, allowed)
-        for key, place in places
-        if not drivable[floor.cell_at(np.asarray(place, dtype=np.float64))]
-    ]
-    if found or tasks.start == "fixed":
-        return found
+    cut_off = [(key, at) for key, at in places if not drivable[floor.cell_at(np.asarray(at))]]
+    yield from ((key, place, allowed) for key, place in cut_off)
+    if cut_off or tasks.start == "fixed":
+        return
     cells = floor.cell_at(np.asarray(goals, dtype=np.float64).reshape(-1, 2))
     if number > len(goals):  # further ones are drawn, from all of it
         cells = np.flatnonzero(drivable)
     reach = float(_farthest_m(floor, drivable, cells).min())
-    if tasks.start_distance_m <= reach:
-        return []
-    allowed = f"at most {reach:.4g}, since no cell with a way to a destination is farther from it"
-    return [("env.tasks.start_distance_m", tasks.start_distance_m, allowed)]
+    if tasks.start_distance_m > reach:
+        say = f"at most {reach:.4g}, since no cell with a way to a destination is farther from it"
+        yield "env.tasks.start_distance_m", tasks.start_distance_m, say
 
 
-def _farthest_m(
-    floor: Floor, drivable: NDArray[np.bool_], cells: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _farthest_m(floor: Floor, drivable: Bools, cells: Ints) -> Floats:
     """From each cell to the farthest drivable one, which is the first or the last of its row."""
     rows = drivable.reshape(floor.rows, floor.columns)
     first, last = rows.argmax(axis=1), floor.columns - 1 - rows[:, ::-1].argmax(axis=1)
@@ -166,6 +162,10 @@ def _numbers(value: Any, count: int) -> bool:
     )
 
 
+def _in_the_room(room: RoomConfig) -> str:
+    return f"[x, y] inside the room of {room.width_m:g} m x {room.depth_m:g} m"
+
+
 def _inside(room: RoomConfig, position: Sequence[float], *, closed: bool = False) -> bool:
     x, y = position[:2]
     if closed:
@@ -173,33 +173,69 @@ def _inside(room: RoomConfig, position: Sequence[float], *, closed: bool = False
     return 0 <= x < room.width_m and 0 <= y < room.depth_m
 
 
-def _combination_problems(config: EnvConfig) -> list[Problem]:
-    found: list[Problem] = []
-    ris, power = config.ris, config.power
+def _combination_problems(config: EnvConfig) -> Iterator[Problem]:
+    ris, power, credit = config.ris, config.power, config.reward.credit
+    most_bits = MAX_PHASE_ACTIONS.bit_length() - 1
     if ris.side**2 % ris.subsurfaces:
         allowed = f"a divisor of the {ris.side**2} elements that env.ris.side={ris.side} gives"
-        found.append(("env.ris.subsurfaces", ris.subsurfaces, allowed))
-    elif ris.bits * ris.subsurfaces > MAX_PHASE_ACTIONS.bit_length() - 1:
+        yield "env.ris.subsurfaces", ris.subsurfaces, allowed
+    elif ris.bits * ris.subsurfaces > most_bits:
         allowed = (
             f"at most {MAX_PHASE_ACTIONS} phase settings: with env.ris.bits={ris.bits}"
-            f" that is {(MAX_PHASE_ACTIONS.bit_length() - 1) // ris.bits} sub-surfaces or fewer"
+            f" that is {most_bits // ris.bits} sub-surfaces or fewer"
         )
-        found.append(("env.ris.subsurfaces", ris.subsurfaces, allowed))
-    projects = config.access == "noma" and power.resolve == "project"
-    if projects and power.levels < config.robots:
+        yield "env.ris.subsurfaces", ris.subsurfaces, allowed
+    if config.access != "noma":
+        return
+    if power.resolve == "project" and power.levels < config.robots:
         allowed = (
             f"at least env.robots={config.robots} with env.power.resolve=project, since NOMA gives"
             " each robot a level of its own (residual and zero allow fewer)"
         )
-        found.append(("env.power.levels", power.levels, allowed))
-    credit = config.reward.credit
-    if credit == "difference" and config.access == "noma" and power.resolve != "project":
+        yield "env.power.levels", power.levels, allowed
+    if credit == "difference" and power.resolve != "project":
         allowed = (
             f"rate or team with env.power.resolve={power.resolve}, whose rates depend on what fails"
             " in the slot"
         )
-        found.append(("env.reward.credit", credit, allowed))
-    return found
+        yield "env.reward.credit", credit, allowed
+
+
+def _pair_problems(config: EnvConfig) -> Iterator[Problem]:
+    """Whether the distances from every element to every cell are too many to work out."""
+    ris, room = config.ris, config.room
+    cells = round(room.width_m / room.cell_m) * round(room.depth_m / room.cell_m)
+    if ris.response in ("far", "near") and ris.side**2 * cells > MAX_PAIRS:
+        allowed = (
+            f"at most {math.isqrt(MAX_PAIRS // cells)} with env.ris.response={ris.response} and"
+            f" {cells} cells, since elements times cells may be {MAX_PAIRS} at most"
+        )
+        yield "env.ris.side", ris.side, allowed
+
+
+def _codebook_problems(config: EnvConfig) -> Iterator[Problem]:
+    """Whether beams can be made: from places of elements, for sectors that have cells."""
+    ris, room, say = config.ris, config.room, "with env.ris.action=codebook"
+    cells = [round(length / room.cell_m) for length in (room.width_m, room.depth_m)]
+    shape = len(ris.sectors) == 2 and all(isinstance(number, int) for number in ris.sectors)
+    if ris.action != "codebook":
+        return
+    if ris.response not in ("far", "near"):
+        allowed = f"far or near {say}, since a beam needs elements with places"
+        yield "env.ris.response", ris.response, allowed
+    elif config.channel.model != "indoor_hotspot":
+        allowed = f"indoor_hotspot {say}: another model gives no channel of each element"
+        yield "env.channel.model", config.channel.model, allowed
+    elif ris.subsurfaces != 1:
+        yield "env.ris.subsurfaces", ris.subsurfaces, f"1 {say}, which sets every element by itself"
+    elif ris.side == 0:
+        yield "env.ris.side", ris.side, f"at least 1 {say}"
+    elif not shape or not all(1 <= n <= most for n, most in zip(ris.sectors, cells, strict=True)):
+        allowed = f"[columns, rows] of 1 to {cells[0]} and 1 to {cells[1]}, the cells there are"
+        yield "env.ris.sectors", ris.sectors, allowed
+    elif phase_actions(ris) > MAX_PHASE_ACTIONS:
+        allowed = f"at most {MAX_PHASE_ACTIONS} sectors, each of which is an action of the AP"
+        yield "env.ris.sectors", ris.sectors, allowed
 
 
 RULES = (
@@ -207,7 +243,7 @@ RULES = (
     channel_file.key_problems,
     _geometry_problems,
     _combination_problems,
-    pair_problems,
-    codebook_problems,
+    _pair_problems,
+    _codebook_problems,
 )
 """Each counts on those before it."""

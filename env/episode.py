@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Ints
 from env.mdp.reward import bits_per_joule, energy_efficiency
 from env.world import StepResult, World
 
@@ -31,36 +32,26 @@ class EpisodeMeasures:
         slots: length of the episode, shape (B,).
     """
 
-    success: NDArray[np.float64]
-    path_ratio: NDArray[np.float64]
-    reward: NDArray[np.float64]
-    ee: NDArray[np.float64]
-    ee_bits_per_joule: NDArray[np.float64]
-    sum_rate: NDArray[np.float64]
-    min_rate: NDArray[np.float64]
-    sic_violations: NDArray[np.float64]
-    projections: NDArray[np.float64]
-    slots: NDArray[np.int64]
+    success: Floats
+    path_ratio: Floats
+    reward: Floats
+    ee: Floats
+    ee_bits_per_joule: Floats
+    sum_rate: Floats
+    min_rate: Floats
+    sic_violations: Floats
+    projections: Floats
+    slots: Ints
 
-    def of(self, worlds: slice | NDArray[np.bool_]) -> EpisodeMeasures:
+    def of(self, worlds: slice | Bools) -> EpisodeMeasures:
         """The measures of some of the worlds."""
         return EpisodeMeasures(*(getattr(self, f.name)[worlds] for f in fields(self)))
 
     def summary(self) -> dict[str, float]:
         """Means over the episodes; the path ratio's over all robots that arrived."""
         ratios = self.path_ratio[np.isfinite(self.path_ratio)]
-        return {
-            "success": float(self.success.mean()),
-            "path_ratio": float(ratios.mean()) if len(ratios) else float("nan"),
-            "reward": float(self.reward.mean()),
-            "ee": float(self.ee.mean()),
-            "ee_bits_per_joule": float(self.ee_bits_per_joule.mean()),
-            "sum_rate": float(self.sum_rate.mean()),
-            "min_rate": float(self.min_rate.mean()),
-            "sic_violations": float(self.sic_violations.mean()),
-            "projections": float(self.projections.mean()),
-            "slots": float(self.slots.mean()),
-        }
+        means = {field.name: float(getattr(self, field.name).mean()) for field in fields(self)}
+        return means | {"path_ratio": float(ratios.mean()) if len(ratios) else float("nan")}
 
 
 _COUNTS = ("shortest", "rate_sum", "slots", "arrived", "reward", "failed", "projected")
@@ -93,7 +84,7 @@ class EpisodeAccumulator:
         self._failed += outcome.allocation.sic_failed.sum(axis=-1)
         self._projected += outcome.allocation.projected
 
-    def restart(self, worlds: NDArray[np.bool_]) -> None:
+    def restart(self, worlds: Bools) -> None:
         """Forgets the episodes of worlds that have just been restarted, shape (B,)."""
         for name in _COUNTS:
             getattr(self, f"_{name}")[worlds] = 0

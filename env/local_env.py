@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Floats32
 from env.mdp.observation import CHANNEL, scaled_channel
 from env.scenario import Scenario
 
@@ -27,8 +28,7 @@ class LocalEnv:
 
     Attributes:
         cells: how many the floor has.
-        observation_size: of s_L.
-        broadcast_size: how many numbers of it the access point tells.
+        observation_size: of s_L, of which the access point tells the last ``broadcast_size``.
     """
 
     def __init__(self, scenario: Scenario, worlds: int = 1) -> None:
@@ -42,21 +42,14 @@ class LocalEnv:
         self._standing = scenario.local_states(everywhere, silence_db)  # all but the channel
 
     def observe(
-        self,
-        cell: NDArray[np.int32],
-        channel_db: NDArray[np.float32],
-        broadcast: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
-        """s_L of each robot.
+        self, cell: NDArray[np.int32], channel_db: Floats32, broadcast: Floats32 | None = None
+    ) -> Floats32:
+        """s_L of each robot, shape (n, observation_size).
 
         Args:
             cell: where it is, shape (n,).
             channel_db: |hbar|^2 in dB as it measures it, shape (n,).
-            broadcast: what the access point tells it, shape (n, broadcast_size); not needed where
-                that is 0.
-
-        Returns:
-            States, float32, shape (n, observation_size).
+            broadcast: what the access point tells it, shape (n, broadcast_size); None if 0.
 
         Raises:
             ValueError: the broadcast is missing.
@@ -70,22 +63,15 @@ class LocalEnv:
         return np.concatenate([state, broadcast], axis=-1, dtype=np.float32)
 
     def reward(
-        self,
-        credit: NDArray[np.float64],
-        left: NDArray[np.int32],
-        reached: NDArray[np.int32],
-        arrived: NDArray[np.bool_],
-    ) -> NDArray[np.float64]:
-        """r_L of each robot: Eq. (11), or the user's own reward.
+        self, credit: Floats, left: NDArray[np.int32], reached: NDArray[np.int32], arrived: Bools
+    ) -> Floats:
+        """r_L of each robot, unscaled: Eq. (11), or the user's own reward; all of shape (n,).
 
         Args:
-            credit: R_k in bit/s/Hz, or what ``reward.credit`` puts in its place, shape (n,).
-            left: the cell that each robot left, shape (n,).
-            reached: the cell that it moved to, shape (n,).
-            arrived: whether that is its destination, shape (n,).
-
-        Returns:
-            Rewards, unscaled, shape (n,).
+            credit: R_k in bit/s/Hz, or what ``reward.credit`` puts in its place.
+            left: the cell that each robot left.
+            reached: the cell that it moved to.
+            arrived: whether that is its destination.
         """
         before = self._distance_m[left, self._robot]
         after = self._distance_m[reached, self._robot]

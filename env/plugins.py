@@ -16,21 +16,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from env.arrays import Bools, Complexes, Floats
 
 if TYPE_CHECKING:
     from env.config import EnvConfig, RewardConfig
     from env.geometry.floor import Floor
     from env.validate import Problem
 
-Tables = tuple[NDArray[np.complex128], NDArray[np.complex128]]
+Tables = tuple[Complexes, Complexes]
 """hbar at each cell, shape (cells,), and c_n of each sub-surface at phase 0, shape (cells, N)."""
 
 ChannelModel = Callable[["EnvConfig", "Floor"], Tables]
 """Makes the tables of a radio map; line of sight and phase settings are not its business."""
 
-Floats = NDArray[np.float64]
-Reward = Callable[[Floats, Floats, Floats, NDArray[np.bool_], "RewardConfig"], Floats]
+Reward = Callable[[Floats, Floats, Floats, Bools, "RewardConfig"], Floats]
 """A robot's reward, with the arguments of ``env.mdp.reward.local_reward``."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
@@ -39,10 +39,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 class PluginError(ValueError):
     """A model that is not there, does not load, or gives what it must not.
 
-    Args:
-        key: the key that names the model.
-        name: the name.
-        allowed: what is allowed in its place.
+    ``allowed`` says what is, in the place of the name at the key.
     """
 
     def __init__(self, key: str, name: str, allowed: str) -> None:
@@ -138,7 +135,7 @@ def register_reward(name: str, function: Reward) -> None:
     """Makes a reward of the robots known in this process, as ``env.reward.model=NAME``.
 
     Args:
-        name: letters, digits, ``_``, ``-`` and ``.``; again the same name replaces the function.
+        name: as of ``register_channel_model``.
         function: with the arguments of ``env.mdp.reward.local_reward``, element by element; gives
             rewards of their shape, float64. Its rate is the credit with ``reward.credit``.
 
@@ -222,7 +219,7 @@ def _source(function: Callable[..., Any]) -> str:
         return "no source file"
 
 
-def _table(name: str, which: str, table: Any, shape: tuple[int, ...]) -> NDArray[np.complex128]:
+def _table(name: str, which: str, table: Any, shape: tuple[int, ...]) -> Complexes:
     """A copy of one table of a channel model, if it is what it must be."""
     _check(_CHANNELS.key, name, which, table, shape, np.complexfloating)
     return np.array(table, dtype=np.complex128, order="C")
@@ -234,7 +231,7 @@ def _checked_reward(
     rate: Floats,
     before_m: Floats,
     after_m: Floats,
-    arrived: NDArray[np.bool_],
+    arrived: Bools,
     weights: RewardConfig,
 ) -> Floats:
     """Calls a reward on copies, so that it changes nothing and sees one layout everywhere."""

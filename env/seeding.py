@@ -35,16 +35,13 @@ class Stream(IntEnum):
 
 
 def stream(seed: int, name: Stream, index: int = 0) -> np.random.Generator:
-    """A generator of its own for one use.
+    """A fresh PCG64 generator of its own for one use, at the start of its stream.
 
     Args:
         seed: the run's seed (the map's for ``Stream.RADIO_MAP``, the floor's for
             ``Stream.FLOOR``), at least 0.
         name: what the stream is for.
         index: which one, where there are several (robot k).
-
-    Returns:
-        A fresh PCG64 generator at the start of its stream.
     """
     return np.random.Generator(np.random.PCG64(_sequence(seed, name, index)))
 

@@ -36,12 +36,7 @@ def read_text(path: Path) -> str:
 
 
 def read_unmarked_text(path: Path, reader: str) -> str:
-    """As ``read_text``, for a file that another program reads, too, which knows no such marks.
-
-    Args:
-        path: the file.
-        reader: the other program's name.
-    """
+    """As ``read_text``, for a file that another program reads, too, which knows no such marks."""
     text = read_text(path)
     if path.read_bytes().startswith(codecs.BOM_UTF8):
         say = f"it begins with a byte order mark, which {reader} does not read"

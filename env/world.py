@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Bools, Complexes, Floats, Floats32, Ints
 from env.config import phase_actions
 from env.downlink.allocation import Allocation, Downlink
 from env.mdp import collisions
 from env.mdp.reward import only
-from env.observation_tables import ObservationTables
 from env.radio.slot_fading import SlotFading
 from env.scenario import Scenario
 
@@ -33,14 +33,14 @@ class StepResult(NamedTuple):
         allocation: powers, decoding order and decodability.
     """
 
-    rate: NDArray[np.float64]
-    credit: NDArray[np.float64]
-    local_reward: NDArray[np.float64]
-    global_reward: NDArray[np.float64]
-    drove: NDArray[np.bool_]
-    arrived: NDArray[np.bool_]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
+    rate: Floats
+    credit: Floats
+    local_reward: Floats
+    global_reward: Floats
+    drove: Bools
+    arrived: Bools
+    terminated: Bools
+    truncated: Bools
     allocation: Allocation
 
 
@@ -75,7 +75,7 @@ class World:
         self._rewards, self._distance_m = scenario.rewards, scenario.distance_m
         self._weighs = self._rewards.weighs_credit or self._rewards.weighs_rates
         self._robot = np.arange(len(self.destinations))
-        self._tables = ObservationTables.of(scenario)
+        self._tables = scenario.tables
         shape = (worlds, self.robots)
         self.cell = np.zeros(shape, dtype=np.int64)
         self.driving = np.zeros(shape, dtype=bool)
@@ -94,30 +94,30 @@ class World:
         return phase_actions(self.config.ris)
 
     @property
-    def direct(self) -> NDArray[np.complex128]:
+    def direct(self) -> Complexes:
         """The direct channel hbar of every robot in this slot, shape (B, K)."""
         direct = self.radio_map.direct[self.cell]
         return direct if self._fading is None else direct * self._fading.factor
 
     @property
-    def measured_db(self) -> NDArray[np.float32]:
+    def measured_db(self) -> Floats32:
         """|hbar|^2 in dB as the robots measure it in this slot, float32, shape (B, K)."""
         if self._fading is None:
             return self.radio_map.direct_db[self.cell]
         return np.asarray(20.0 * np.log10(np.abs(self.direct)), dtype=np.float32)
 
     @property
-    def shortest_slots(self) -> NDArray[np.int64]:
+    def shortest_slots(self) -> Ints:
         """Fewest slots that are left to each robot's destination, shape (B, K)."""
         return self.slots_to_go[self.cell, self._robot]
 
     @property
-    def travel_slots(self) -> NDArray[np.int64]:
+    def travel_slots(self) -> Ints:
         """T_k: slots so far and the fewest that are left, at least 1, shape (B, K)."""
         return np.asarray(np.maximum(self.slot[:, None] + self.shortest_slots, 1))
 
     @property
-    def rate_weights(self) -> NDArray[np.float64]:
+    def rate_weights(self) -> Floats:
         """What each robot's rate counts for in the access point's reward, shape (B, K).
 
         1, or w_k with ``reward.weights=objective``.
@@ -126,15 +126,12 @@ class World:
             return self._rewards.weights(self.travel_slots)
         return np.ones(self.cell.shape)
 
-    def channel(self, phase_action: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """The combined channel h_k of every robot in this slot.
+    def channel(self, phase_action: Ints) -> Complexes:
+        """The combined channel h_k of every robot in this slot, shape (B, K) or (B, A, K).
 
         Args:
             phase_action: the AP's action, shape (B,), or several of each world, shape (B, A) or
                 (1, A).
-
-        Returns:
-            h_k, shape (B, K) or (B, A, K).
         """
         cell, direct = self.cell, self.direct
         if phase_action.ndim > 1:
@@ -142,9 +139,7 @@ class World:
         return self.radio_map.channel(cell, phase_action, direct)
 
     def reset(
-        self,
-        start: NDArray[np.int64] | None = None,
-        fading: Sequence[np.random.Generator] | None = None,
+        self, start: Ints | None = None, fading: Sequence[np.random.Generator] | None = None
     ) -> None:
         """Begins an episode in every world.
 
@@ -166,8 +161,8 @@ class World:
 
     def restart(
         self,
-        worlds: NDArray[np.bool_],
-        start: NDArray[np.int64] | None = None,
+        worlds: Bools,
+        start: Ints | None = None,
         fading: Sequence[np.random.Generator] | None = None,
     ) -> None:
         """Begins an episode in some of the worlds.
@@ -200,11 +195,11 @@ class World:
         if self._fading is not None:
             self._fading.restore(state["fading"])
 
-    def draw_starts(self, count: int) -> NDArray[np.int64]:
+    def draw_starts(self, count: int) -> Ints:
         """Start cells, shape (count, K): fixed ones, or drawn from the world's stream."""
         return self.scenario.draw_starts(count, self.generator)
 
-    def local_observations(self) -> NDArray[np.float32]:
+    def local_observations(self) -> Floats32:
         """s_L of every robot, float32, shape (B, K, local_size)."""
         alone = self._known_alone()
         if not self.observer.broadcast_size:
@@ -212,17 +207,17 @@ class World:
         told = self.observer.broadcast(alone, self.travel_slots, self.driving)
         return np.concatenate([alone, told], axis=-1)
 
-    def broadcast(self) -> NDArray[np.float32]:
+    def broadcast(self) -> Floats32:
         """What the AP tells each robot, the end of s_L, float32, shape (B, K, broadcast_size)."""
         return self.observer.broadcast(self._known_alone(), self.travel_slots, self.driving)
 
-    def _known_alone(self) -> NDArray[np.float32]:
+    def _known_alone(self) -> Floats32:
         """What each robot knows by itself of s_L."""
         if self._tables is not None:
             return self._tables.local[self.cell, self._robot]
         return self.scenario.local_states(self.cell, self.measured_db)
 
-    def global_observation(self, local: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    def global_observation(self, local: Floats32 | None = None) -> Floats32:
         """s_G, float32, shape (B, global_size); ``local`` saves computing s_L again."""
         seen = self._seen_robots(local)
         if not self.observer.arranges:
@@ -232,7 +227,7 @@ class World:
             weights = self._rewards.weights(self.travel_slots)
         return self.observer.global_observation(seen, self.direct, self.driving, weights)
 
-    def _seen_robots(self, local: NDArray[np.float32] | None) -> NDArray[np.float32]:
+    def _seen_robots(self, local: Floats32 | None) -> Floats32:
         """What the AP sees of each robot by itself, zeros where it is not driving."""
         if self._tables is None:
             if local is None:
@@ -243,21 +238,13 @@ class World:
             seen *= self.driving[..., None]
         return seen
 
-    def step(
-        self,
-        phase_action: NDArray[np.int64],
-        direction: NDArray[np.int64],
-        level: NDArray[np.int64],
-    ) -> StepResult:
+    def step(self, phase_action: Ints, direction: Ints, level: Ints) -> StepResult:
         """One slot: channels at the cells left, order, powers, rates; then moves and rewards.
 
         Args:
             phase_action: the AP's action, shape (B,).
             direction: index into ``DIRECTIONS``, shape (B, K); read where driving.
             level: power level 1..N_P, shape (B, K); read where driving.
-
-        Returns:
-            What the slot brought.
         """
         drove = self.driving
         running = np.asarray(drove.any(axis=-1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -107,7 +108,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from env.plugins import PluginError
 
     try:
-        return int(import_module(f"experiments.commands.{name}").main(_composable(name, rest)))
+        if name in COMPOSING:
+            from experiments.console.arguments import with_config_dirs
+
+            rest = with_config_dirs(rest)
+        return int(import_module(f"experiments.commands.{name}").main(rest))
     except KeyboardInterrupt:
         return 130
     except (ConfigError, PluginError) as error:
@@ -127,20 +132,12 @@ def _complete(given: list[str]) -> int:
         if given[0] == "--completion":
             print(completion.script(" ".join(given[1:])))
         else:
-            print("\n".join(completion.asked(COMMANDS, COMPOSING)))
+            line = os.environ.get("COMP_LINE", "")
+            print("\n".join(completion.candidates(line, COMMANDS, COMPOSING)))
     except ConfigError as error:
         print(f"risfleet: {error}", file=sys.stderr)
         return 2
     return 0
-
-
-def _composable(name: str, arguments: list[str]) -> list[str]:
-    """The arguments of a command, those that compose a configuration with folders of the user's."""
-    if name not in COMPOSING:
-        return arguments
-    from experiments.console.arguments import with_config_dirs
-
-    return with_config_dirs(arguments)
 
 
 def hidden_package() -> str:

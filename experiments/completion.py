@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import os
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from importlib import import_module
@@ -50,11 +48,6 @@ def script(shell: str) -> str:
     return SCRIPTS[shell]
 
 
-def asked(commands: Sequence[str], composing: Sequence[str]) -> list[str]:
-    """What completes the line in ``COMP_LINE``; see ``candidates``."""
-    return candidates(os.environ.get("COMP_LINE", ""), commands, composing)
-
-
 def candidates(line: str, commands: Sequence[str], composing: Sequence[str]) -> list[str]:
     """What the last word of a line may become; nothing where it is a file's name.
 
@@ -97,8 +90,9 @@ def _options(command: str, composing: Sequence[str]) -> list[str]:
     if command == "train":
         return [*TRAIN]
     module = import_module(f"experiments.commands.{command}")
-    parser: argparse.ArgumentParser | None = getattr(module, "_parser", lambda: None)()
-    names = [name for action in parser._actions for name in action.option_strings] if parser else []
+    names = []
+    if hasattr(module, "_parser"):
+        names = [name for action in module._parser()._actions for name in action.option_strings]
     return [*names, *(CONFIG_DIR[:1] if command in composing else ())]
 
 
@@ -121,12 +115,9 @@ def _overrides(word: str, roots: Sequence[Path]) -> Iterator[str]:
             if choice.startswith(last):
                 yield f"{key}={listed}{comma}{choice}"
         return
-    ends = dict.fromkeys(
-        f"{name[: end + 1]}" if (end := name.find(".", len(word))) >= 0 else f"{name}="
-        for name in (*GROUPS, *all_keys())
-        if name.startswith(word)
-    )
-    yield from ends
+    names = [name for name in (*GROUPS, *all_keys()) if name.startswith(word)]
+    ends = [(name, name.find(".", len(word)) + 1) for name in names]
+    yield from dict.fromkeys(name[:end] if end else f"{name}=" for name, end in ends)
 
 
 def _choices(key: str, roots: Sequence[Path]) -> list[str]:

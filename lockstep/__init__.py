@@ -1,18 +1,9 @@
 """The lockstep link between the world and the robots' clients: calls, or frames over TCP."""
 
 from lockstep.client import serve
-from lockstep.errors import (
-    FrameError,
-    LinkError,
-    LinkTimeout,
-    ProtocolError,
-    Refused,
-    RobotFailed,
-    RobotLost,
-    ServerLost,
-)
+from lockstep.errors import LinkError, LinkTimeout, RobotFailed, RobotLost, ServerLost
 from lockstep.interface import Fleet, Robots
-from lockstep.local import InProcessFleet, LocalFleet
+from lockstep.local import InProcessFleet
 from lockstep.messages import UPDATE, Expect, Flag, Layout, Payload, Step
 from lockstep.server import LinkServer
 
@@ -21,16 +12,12 @@ __all__ = [
     "Expect",
     "Flag",
     "Fleet",
-    "FrameError",
     "InProcessFleet",
     "Layout",
     "LinkError",
     "LinkServer",
     "LinkTimeout",
-    "LocalFleet",
     "Payload",
-    "ProtocolError",
-    "Refused",
     "RobotFailed",
     "RobotLost",
     "Robots",

@@ -60,22 +60,21 @@ class AcceptedClient:
 
 
 class PendingConnection:
-    """A connection that has not said a valid hello yet."""
+    """A connection that has until `deadline` (monotonic, s) to say a valid hello."""
 
     def __init__(self, sock: socket.socket, peer: str, deadline: float) -> None:
-        """A pending connection who has until `deadline` (monotonic, s) to say hello."""
         self.sock, self.peer, self.deadline = sock, peer, deadline
         self.stream = FrameStream(sock, HELLO_SIZE)
-        self._shaken = not isinstance(sock, ssl.SSLSocket)
+        self._handshake = sock.do_handshake if isinstance(sock, ssl.SSLSocket) else None
 
     def recv(self) -> Hello | None:
         """The hello, None as long as it is not complete."""
-        if not self._shaken and isinstance(self.sock, ssl.SSLSocket):
+        if self._handshake is not None:
             try:
-                self.sock.do_handshake()
+                self._handshake()
             except (ssl.SSLWantReadError, ssl.SSLWantWriteError):
                 return None
-            self._shaken = True
+            self._handshake = None
         frame = self.stream.receive()
         if frame is None:
             return None
@@ -108,7 +107,7 @@ class Acceptor(threading.Thread):
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._selector.register(self._halt, selectors.EVENT_READ)
         while True:
-            first = min((n.deadline for n in self._pending.values()), default=None)
+            first = min((each.deadline for each in self._pending.values()), default=None)
             wait = None if first is None else max(0.0, first - time.monotonic())
             for key, _ in self._selector.select(wait):
                 if key.fileobj is self._halt:
@@ -118,7 +117,7 @@ class Acceptor(threading.Thread):
                 elif key.fd in self._pending:
                     self._hear(self._pending[key.fd])
             now = time.monotonic()
-            for late in [n for n in self._pending.values() if n.deadline <= now]:
+            for late in [each for each in self._pending.values() if each.deadline <= now]:
                 self._turn_away(late, "said no hello in time")
 
     def shut(self) -> None:
@@ -126,8 +125,8 @@ class Acceptor(threading.Thread):
         if self.is_alive():
             self._halter.send(b"x")
             self.join()
-        for pending_connection in self._pending.values():
-            pending_connection.stream.close()
+        for pending in self._pending.values():
+            pending.stream.close()
         while self.accepted:
             self.accepted.popleft().sock.close()
         self._selector.close()
@@ -150,49 +149,46 @@ class Acceptor(threading.Thread):
                 sock = self._context.wrap_socket(
                     sock, server_side=True, do_handshake_on_connect=False
                 )
-            peer = f"{address[0]}:{address[1]}"
-            pending_connection = PendingConnection(sock, peer, time.monotonic() + self._handshake_s)
+            deadline = time.monotonic() + self._handshake_s
+            newcomer = PendingConnection(sock, f"{address[0]}:{address[1]}", deadline)
             self._selector.register(sock, selectors.EVENT_READ)
         except (OSError, ValueError) as error:
             log.warning("a connection was closed: %s", described(error))
             sock.close()
             return
-        self._pending[sock.fileno()] = pending_connection
+        self._pending[sock.fileno()] = newcomer
         if len(self._pending) > MAX_PENDING:
             self._turn_away(next(iter(self._pending.values())), "made room for others")
 
-    def _hear(self, pending_connection: PendingConnection) -> None:
+    def _hear(self, pending: PendingConnection) -> None:
         """Let a pending connection speak; nothing that it says may do harm."""
         try:
-            hello = pending_connection.recv()
+            hello = pending.recv()
             if hello is not None:
-                self._judge(pending_connection, hello)
+                self._judge(pending, hello)
         except Exception as error:
-            self._turn_away(pending_connection, described(error))
+            self._turn_away(pending, described(error))
 
-    def _judge(self, pending_connection: PendingConnection, hello: Hello) -> None:
+    def _judge(self, pending: PendingConnection, hello: Hello) -> None:
         """Hand a pending connection over to the run, or refuse it with the reason."""
         admission = self.admission
         reason = "no round is open" if admission is None else admission.refusal(hello)
         if admission is None or reason is not None:
-            pending_connection.stream.send(encode(Rejection(str(reason))), 0.0)
-            self._turn_away(pending_connection, f"refused: {reason}")
+            pending.stream.send(encode(Rejection(str(reason))), 0.0)
+            self._turn_away(pending, f"refused: {reason}")
             return
-        pending_connection.stream.send(encode(Welcome()), 0.0)
-        self._forget(pending_connection)
-        self.accepted.append(
-            AcceptedClient(admission, tuple(hello.robots), pending_connection.sock)
-        )
+        pending.stream.send(encode(Welcome()), 0.0)
+        self._forget(pending)
+        self.accepted.append(AcceptedClient(admission, tuple(hello.robots), pending.sock))
         with contextlib.suppress(BlockingIOError):
             self._wakeup_sender.send(b"x")
 
-    def _turn_away(self, pending_connection: PendingConnection, reason: str) -> None:
-        """Close a connection and say why."""
-        log.warning("connection from %s closed: %s", pending_connection.peer, reason)
-        self._forget(pending_connection)
-        pending_connection.stream.close()
+    def _turn_away(self, pending: PendingConnection, reason: str) -> None:
+        log.warning("connection from %s closed: %s", pending.peer, reason)
+        self._forget(pending)
+        pending.stream.close()
 
-    def _forget(self, pending_connection: PendingConnection) -> None:
+    def _forget(self, pending: PendingConnection) -> None:
         """Listen to a pending connection no more."""
-        self._selector.unregister(pending_connection.sock)
-        del self._pending[pending_connection.sock.fileno()]
+        self._selector.unregister(pending.sock)
+        del self._pending[pending.sock.fileno()]

@@ -6,13 +6,13 @@ import logging
 import socket
 import ssl
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from lockstep.errors import Disconnected, FrameError, LinkTimeout, Refused, ServerLost, described
 from lockstep.frame_stream import FrameStream, prepare
 from lockstep.frames import decode, encode
-from lockstep.interface import Robots, answer
+from lockstep.interface import Robots
 from lockstep.messages import (
     PLAIN,
     VERSION,
@@ -24,17 +24,22 @@ from lockstep.messages import (
     Hello,
     Layout,
     Message,
+    Payload,
+    Rejection,
     Restore,
     Step,
     Weights,
     Welcome,
+    checked_actions,
     checked_download,
     checked_model,
+    checked_upload,
 )
-from lockstep.messages import Rejection as RefusedMessage
 from lockstep.wire_format import TEXT_SIZE, model_size, step_size
 
 log = logging.getLogger(__name__)
+LINGER_S = 1.0
+"""How long a client that has said why it stops waits for the server to close."""
 
 
 def serve(
@@ -51,7 +56,7 @@ def serve(
     client_context: ssl.SSLContext | None = None,
     layout: Layout = PLAIN,
 ) -> None:
-    """Serve one round: returns once the handler has taken the step that wants a FAREWELL.
+    """Serve one round: returns once the handler has taken a step that expects `END_ROUND`.
 
     Args:
         address: host and port of the server.
@@ -75,12 +80,14 @@ def serve(
         LinkTimeout: the server has said nothing for that long.
         FrameError: the server has said what it must not.
     """
+    hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
     sock = _connected(address, timeout_s, client_context)
     while True:
         try:
-            line = _entered(sock, robots, tokens, fingerprint, timeout_s, n_parameters, layout)
+            line = _Line(sock, handler, len(robots), n_parameters, layout)
+            line.enter(hello, timeout_s)
             line.wait_up_to(timeout_s if idle_timeout_s is None else idle_timeout_s)
-            _attend(line, handler, len(robots), n_parameters)
+            line.attend()
             return
         except Disconnected as error:
             if not reconnect_timeout_s:
@@ -91,118 +98,110 @@ def serve(
         sock = _connected(address, reconnect_timeout_s, client_context, if_refused=False)
 
 
-def _entered(
-    sock: socket.socket,
-    robots: Sequence[int],
-    tokens: Sequence[str],
-    fingerprint: str,
-    timeout_s: float,
-    n_parameters: int,
-    layout: Layout,
-) -> _Line:
-    """Say hello and hear the welcome."""
-    hello = Hello(VERSION, fingerprint, list(robots), list(tokens))
-    most = model_size(len(robots), n_parameters, layout)
-    limit = max(TEXT_SIZE, step_size(len(robots), layout), most)
-    line = _Line(FrameStream(sock, limit), timeout_s, layout)
-    line.wait_up_to(timeout_s)
-    line.send(encode(hello))
-    answer = line.recv()
-    if isinstance(answer, RefusedMessage):
-        raise Refused(answer.reason)
-    if not isinstance(answer, Welcome):
-        raise FrameError(f"{type(answer).__name__} where a welcome is due")
-    return line
-
-
 class _Line:
-    """Messages from and to the server, and what it means when they stop."""
+    """The conversation of n robots with the server over one connection."""
 
-    def __init__(self, stream: FrameStream, timeout_s: float, layout: Layout) -> None:
-        """A line over a socket that has this timeout."""
-        self.stream, self._timeout_s, self.layout = stream, timeout_s, layout
+    def __init__(
+        self, sock: socket.socket, handler: Robots, robots: int, n_parameters: int, layout: Layout
+    ) -> None:
+        longest = max(step_size(robots, layout), model_size(robots, n_parameters, layout))
+        self._stream = FrameStream(sock, max(TEXT_SIZE, longest))
+        self._handler, self._robots, self._parameters = handler, robots, n_parameters
+        self._layout = layout
+
+    def enter(self, hello: Hello, timeout_s: float) -> None:
+        """Say hello and hear the welcome."""
+        self.wait_up_to(timeout_s)
+        self._send(hello)
+        reply = self._recv()
+        if isinstance(reply, Rejection):
+            raise Refused(reply.reason)
+        if not isinstance(reply, Welcome):
+            raise FrameError(f"{type(reply).__name__} where a welcome is due")
 
     def wait_up_to(self, timeout_s: float) -> None:
         """Bear this much silence from now on."""
         self._timeout_s = timeout_s
-        self.stream.set_timeout(timeout_s)
+        self._stream.set_timeout(timeout_s)
 
-    def recv(self) -> Message:
+    def attend(self) -> None:
+        """Serve steps until the end of the round; errors here are reported to the server.
+
+        SIGTERM is reported as a lost connection, not as an error, so that the robot may reconnect.
+        """
+        try:
+            self._converse()
+        except (ServerLost, SystemExit, KeyboardInterrupt):
+            raise
+        except BaseException as error:
+            self._stream.finish(encode(Failure(described(error))), linger_s=LINGER_S)
+            raise
+
+    def _converse(self) -> None:
+        uploaded = -1  # the window whose download may come now
+        while True:
+            message = self._recv()
+            if isinstance(message, Weights) and message.window == uploaded:
+                weights = message.weights
+                with _due():
+                    checked_download(weights, self._robots, self._parameters, self._layout)
+                self._handler.download(message.window, weights)
+                uploaded = -1
+                continue
+            uploaded = -1
+            if isinstance(message, Step):
+                rows, due = len(message.updates), self._robots * self._layout.worlds
+                if rows != due:
+                    raise FrameError(f"a step of {rows} records, not {due}")
+                actions = self._handler.step(message)
+                if message.expect is Expect.END_ROUND:
+                    return
+                if message.expect is Expect.ACTIONS:
+                    self._send(Actions(message.tick, checked_actions(actions, rows)))
+                else:
+                    uploaded = message.window
+                    self._send(Weights(uploaded, self._uploaded()))
+            elif isinstance(message, Abort):
+                self._send(Ack(message.number, tuple(self._handler.windows())))
+            elif isinstance(message, Restore):
+                if message.model is not None:
+                    with _due():
+                        checked_model(message.model, self._robots, self._parameters)
+                self._handler.begin(message.window, message.model)
+                self._send(Ack(message.number))
+            elif isinstance(message, Failure):
+                raise ServerLost(f"the server has stopped: {message.reason}")
+            else:
+                raise FrameError(f"{type(message).__name__} out of turn")
+
+    def _uploaded(self) -> Payload:
+        weights = self._handler.upload()
+        return checked_upload(weights, self._robots, self._parameters, self._layout)
+
+    def _recv(self) -> Message:
         """The server's next message; its arrays are the caller's to keep."""
         try:
-            frame = self.stream.receive()
+            frame = self._stream.receive()
         except TimeoutError:
             frame = None
         except (OSError, EOFError) as error:
             raise Disconnected(f"the server has gone: {described(error)}") from error
         if frame is None:
             raise LinkTimeout(f"no word from the server for {self._timeout_s:g} s")
-        return decode(bytearray(frame), self.layout)
+        return decode(bytearray(frame), self._layout)
 
-    def send(self, frame: bytes) -> None:
-        """Send a frame."""
+    def _send(self, message: Message) -> None:
         try:
-            self.stream.send(frame, self._timeout_s)
+            self._stream.send(encode(message), self._timeout_s)
         except OSError as error:
             raise Disconnected(f"the server has gone: {described(error)}") from error
 
 
-def _attend(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
-    """Serve steps until the end of the round; errors here are reported to the server.
-
-    SIGTERM is reported as a lost connection, not as an error, so that the robot may reconnect.
-    """
+@contextmanager
+def _due() -> Iterator[None]:
+    """Weights of the server that are not as was agreed make its frame a wrong one."""
     try:
-        _converse(line, handler, count, n_parameters)
-    except (ServerLost, SystemExit, KeyboardInterrupt):
-        raise
-    except BaseException as error:
-        line.stream.finish(encode(Failure(described(error))), linger_s=1.0)
-        raise
-
-
-def _converse(line: _Line, handler: Robots, count: int, n_parameters: int) -> None:
-    """Serve steps until the end of the round."""
-    uploaded = -1
-    while True:
-        message = line.recv()
-        if isinstance(message, Step):
-            rows, due = len(message.updates), count * line.layout.worlds
-            if rows != due:
-                raise FrameError(f"a step of {rows} records, not {due}")
-            given = answer(handler, message, count, n_parameters, line.layout)
-            if given is None:
-                return
-            if message.expect is Expect.ACTIONS:
-                uploaded = -1
-                line.send(encode(Actions(message.tick, given)))
-            else:
-                uploaded = message.window
-                line.send(encode(Weights(message.window, given)))
-        elif isinstance(message, Weights) and message.window == uploaded:
-            fits = _fitting(checked_download, message.weights, count, n_parameters, line.layout)
-            handler.download(message.window, fits)
-            uploaded = -1
-        elif isinstance(message, Abort):
-            uploaded = -1
-            line.send(encode(Ack(message.number, tuple(handler.windows()))))
-        elif isinstance(message, Restore):
-            model = message.model
-            if model is not None:
-                model = _fitting(checked_model, model, count, n_parameters)
-            handler.begin(message.window, model)
-            uploaded = -1
-            line.send(encode(Ack(message.number)))
-        elif isinstance(message, Failure):
-            raise ServerLost(f"the server has stopped: {message.reason}")
-        else:
-            raise FrameError(f"{type(message).__name__} out of turn")
-
-
-def _fitting(check: Callable[..., Any], *given: object) -> Any:
-    """What the server sends, if it is as was agreed."""
-    try:
-        return check(*given)
+        yield
     except (TypeError, ValueError) as error:
         raise FrameError(str(error)) from error
 

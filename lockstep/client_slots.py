@@ -33,27 +33,16 @@ class ClientSlot:
     """One client's place in the round, whether or not it is taken."""
 
     def __init__(
-        self, block: tuple[int, ...], shape: tuple[int, int], layout: Layout, stats: BlockStats
+        self, block: tuple[int, ...], parameters: int, layout: Layout, stats: BlockStats
     ) -> None:
-        """A free slot for the client that holds the robots of `block`."""
+        """A free slot for the client that holds the robots of `block`, of P parameters each."""
         self.block, self.robots = block, list(block)
         self.rows = layout.rows_of(block)
         self.count = len(block) * layout.worlds
-        robot = layout.worlds * layout.record.itemsize
-        self._cuts = [slice(k * robot, (k + 1) * robot) for k in block]
-        if isinstance(self.rows, slice):
-            self._cuts = [slice(block[0] * robot, (block[-1] + 1) * robot)]
-        longest = actions_size(len(block), layout)
-        upload = upload_size(len(block), shape[1], layout)
-        self.limit = max(TEXT_SIZE, longest, upload)
+        longest = max(actions_size(len(block), layout), upload_size(len(block), parameters, layout))
+        self.limit = max(TEXT_SIZE, longest)
         self.stats = stats
         self.stream: FrameStream | None = None
         self.awaited = False
-        self.windows: frozenset[int] = frozenset()  # of its last `Ready`
-        self.stale = False  # what comes is older than the last `Halt` or `Begin`
-
-    def records(self, fleet: bytes) -> bytes:
-        """This slot's part of the bytes of all robots' records."""
-        if len(self._cuts) == 1:
-            return fleet[self._cuts[0]]
-        return b"".join([fleet[cut] for cut in self._cuts])
+        self.windows: frozenset[int] = frozenset()  # of its last `Ack`
+        self.stale = False  # what comes is older than the last `Abort` or `Restore`

@@ -40,12 +40,11 @@ class LinkTimeout(LinkError):
 
 
 class _RobotError(LinkError):
+    _verb: str
+
     def __init__(self, robots: Sequence[int], where: str, reason: str) -> None:
         self.robots = tuple(robots)
-        self.reason = reason
         super().__init__(f"{named(robots)} {self._verb} {where}: {reason}")
-
-    _verb = "stopped"
 
 
 class RobotLost(_RobotError):
@@ -70,8 +69,3 @@ class Disconnected(ServerLost):
 
 class Refused(LinkError):
     """The server does not let this client in, and says why."""
-
-    def __init__(self, reason: str) -> None:
-        """Refused, for this reason."""
-        self.reason = reason
-        super().__init__(reason)

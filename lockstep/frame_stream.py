@@ -38,17 +38,13 @@ class FrameStream:
     """Sends and receives frames; whether it waits is up to the socket's timeout."""
 
     def __init__(self, sock: socket.socket, limit: int) -> None:
-        """Take over a connected socket.
+        """Take over a connected socket, plain or TLS, non-blocking or with a timeout.
 
-        Args:
-            sock: plain or TLS; non-blocking, or with a timeout.
-            limit: the longest frame to take, in bytes.
+        A frame may have `limit` bytes.
         """
-        self._sock = sock
-        self._limit = limit
+        self._sock, self._limit = sock, limit
         self._view = np.empty(limit, np.uint8).data
-        self._have = 0
-        self._used = 0
+        self._have = self._used = 0
 
     def fileno(self) -> int:
         """The socket's descriptor, -1 once closed."""

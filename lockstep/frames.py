@@ -10,7 +10,8 @@ import json
 import math
 import struct
 from collections.abc import Callable
-from typing import Any, cast
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from lockstep.messages import (
     Hello,
     Layout,
     Message,
+    Payload,
     Rejection,
     Restore,
     Step,
@@ -106,44 +108,41 @@ def _encode_actions(message: Actions) -> bytes:
 
 def _encode_weights(message: Weights) -> bytes:
     packed = message.weights.dtype == np.uint8
-    weights = np.ascontiguousarray(message.weights, "u1" if packed else "<f4")
-    if weights.ndim not in _DIMENSIONS[packed] or 0 in weights.shape:
-        raise FrameError(f"weights of shape {weights.shape}")
-    shape = weights.shape + (0,) * (3 - weights.ndim)
-    head = WEIGHTS.pack(message.window, weights.ndim, packed, *shape)
+    weights, ndim, dims = _sized(message.weights, packed=packed)
+    head = WEIGHTS.pack(message.window, ndim, packed, *dims)
     return _framed(Kind.WEIGHTS, head, weights.data)
 
 
-def _encode_begin(begin: Restore) -> bytes:
-    if begin.model is None:
-        return _framed(Kind.RESTORE, RESTORE.pack(begin.number, begin.window, 0, 0, 0, 0))
-    model = np.ascontiguousarray(begin.model, "<f4")
-    if model.ndim not in _DIMENSIONS[False] or 0 in model.shape:
-        raise FrameError(f"a model of shape {model.shape}")
-    shape = model.shape + (0,) * (3 - model.ndim)
-    head = RESTORE.pack(begin.number, begin.window, model.ndim, *shape)
+def _encode_restore(restore: Restore) -> bytes:
+    if restore.model is None:
+        return _framed(Kind.RESTORE, RESTORE.pack(restore.number, restore.window, 0, 0, 0, 0))
+    model, ndim, dims = _sized(restore.model, packed=False)
+    head = RESTORE.pack(restore.number, restore.window, ndim, *dims)
     return _framed(Kind.RESTORE, head, model.data)
 
 
-def _encode_ready(ready: Ack) -> bytes:
-    windows = ready.windows[-MOST_WINDOWS:]
-    head = ACK.pack(ready.number, len(windows))
+def _sized(weights: Payload, *, packed: bool) -> tuple[Payload, int, tuple[int, ...]]:
+    """Weights as they travel, the number of their dimensions, and three sizes: 0 for none."""
+    weights = np.ascontiguousarray(weights, "u1" if packed else "<f4")
+    if weights.ndim not in _DIMENSIONS[packed] or 0 in weights.shape:
+        raise FrameError(f"weights of shape {weights.shape}")
+    return weights, weights.ndim, weights.shape + (0,) * (3 - weights.ndim)
+
+
+def _encode_ack(ack: Ack) -> bytes:
+    windows = ack.windows[-MOST_WINDOWS:]
+    head = ACK.pack(ack.number, len(windows))
     return _framed(Kind.ACK, head, struct.pack(f"<{len(windows)}I", *windows))
-
-
-def _encode_hello(hello: Hello) -> bytes:
-    fields = {name: getattr(hello, name) for name in ("version", "fingerprint", "robots", "tokens")}
-    return _framed(Kind.HELLO, json.dumps(fields).encode())
 
 
 _ENCODERS: dict[type, Callable[[Any], bytes]] = {
     Step: _encode_step,
     Actions: _encode_actions,
     Weights: _encode_weights,
-    Hello: _encode_hello,
-    Welcome: lambda m: _framed(Kind.WELCOME, json.dumps({"version": m.version}).encode()),
-    Restore: _encode_begin,
-    Ack: _encode_ready,
+    Hello: lambda m: _framed(Kind.HELLO, json.dumps(asdict(m)).encode()),
+    Welcome: lambda m: _framed(Kind.WELCOME, json.dumps(asdict(m)).encode()),
+    Restore: _encode_restore,
+    Ack: _encode_ack,
     Abort: lambda m: _framed(Kind.ABORT, ABORT.pack(m.number)),
     Rejection: lambda m: _framed(Kind.REFUSED, one_line(m.reason).encode()),
     Failure: lambda m: _framed(Kind.FAILURE, one_line(m.reason).encode()),
@@ -174,8 +173,8 @@ def decode(frame: memoryview | bytes | bytearray, layout: Layout = PLAIN) -> Mes
     """The message in a whole frame; its arrays are views of the frame.
 
     Args:
-        frame: the whole of it.
-        layout: of the records of a `Step`.
+        frame: header and body.
+        layout: of a `Step`'s records.
 
     Raises:
         FrameError: anything about the frame is not as it must be.
@@ -219,7 +218,7 @@ def _decode_weights(body: memoryview) -> Weights:
     return Weights(window, _array(body, WEIGHTS.size, ndim, dims, packed=packed == 1))
 
 
-def _array(body: memoryview, offset: int, ndim: int, dims: list[int], *, packed: bool) -> Any:
+def _array(body: memoryview, offset: int, ndim: int, dims: list[int], *, packed: bool) -> Payload:
     """The weights behind the head of a body."""
     if ndim not in _DIMENSIONS[packed] or 0 in dims[:ndim] or any(dims[ndim:]):
         raise ValueError(f"{ndim} dimensions {dims}")
@@ -229,26 +228,18 @@ def _array(body: memoryview, offset: int, ndim: int, dims: list[int], *, packed:
     return np.frombuffer(body, kind, offset=offset).reshape(dims[:ndim])
 
 
-def _decode_begin(body: memoryview) -> Restore:
+def _decode_restore(body: memoryview) -> Restore:
     number, window, ndim, *dims = RESTORE.unpack_from(body)
-    if not ndim:
-        if any(dims) or len(body) != RESTORE.size:
-            raise ValueError(f"{len(body)} bytes where no model is")
-        return Restore(number, window, None)
-    return Restore(number, window, _array(body, RESTORE.size, ndim, dims, packed=False))
+    if ndim:
+        return Restore(number, window, _array(body, RESTORE.size, ndim, dims, packed=False))
+    if any(dims) or len(body) != RESTORE.size:
+        raise ValueError(f"{len(body)} bytes where no model is")
+    return Restore(number, window, None)
 
 
-def _decode_ready(body: memoryview) -> Ack:
+def _decode_ack(body: memoryview) -> Ack:
     number, count = ACK.unpack_from(body)
-    if len(body) != ACK.size + 4 * count:
-        raise ValueError(f"{len(body)} bytes are not {count} windows")
-    return Ack(number, struct.unpack_from(f"<{count}I", body, ACK.size))
-
-
-def _decode_halt(body: memoryview) -> Abort:
-    if len(body) != ABORT.size:
-        raise ValueError(f"{len(body)} bytes")
-    return Abort(*ABORT.unpack(body))
+    return Ack(number, struct.unpack(f"<{count}I", body[ACK.size :]))
 
 
 def _number(value: object, limit: int) -> int:
@@ -270,10 +261,10 @@ def _many(value: object) -> list[object]:
 
 
 def _fields(body: memoryview) -> dict[str, object]:
-    fields = json.loads(bytes(body))
+    fields: object = json.loads(bytes(body))
     if not isinstance(fields, dict):
         raise ValueError("no JSON object")
-    return cast(dict[str, object], fields)
+    return fields
 
 
 def _decode_hello(body: memoryview) -> Hello:
@@ -293,7 +284,7 @@ _DECODERS: dict[int, Callable[[memoryview], Message]] = {
     Kind.FAILURE: lambda body: Failure(one_line(str(body, "utf-8"))),
     Kind.ACTIONS: _decode_actions,
     Kind.WEIGHTS: _decode_weights,
-    Kind.RESTORE: _decode_begin,
-    Kind.ACK: _decode_ready,
-    Kind.ABORT: _decode_halt,
+    Kind.RESTORE: _decode_restore,
+    Kind.ACK: _decode_ack,
+    Kind.ABORT: lambda body: Abort(*ABORT.unpack(body)),
 }

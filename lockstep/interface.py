@@ -1,13 +1,13 @@
 """The two ends of the link, whatever lies between them."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lockstep.errors import ProtocolError
-from lockstep.messages import Expect, Layout, Payload, Step, checked_actions, checked_upload
+from lockstep.messages import Expect, Payload, Step
 
 
 class Robots(Protocol):
@@ -32,26 +32,6 @@ class Robots(Protocol):
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """Go to the state after a window, 0 being the start; then take plain weights, if any."""
         ...
-
-
-def answer(
-    handler: Robots, step: Step, robots: int, n_parameters: int, layout: Layout
-) -> np.ndarray | None:
-    """What a handler answers to a step, checked: actions, weights, or None at the end of a round.
-
-    Args:
-        handler: of n robots.
-        step: for them.
-        robots: n.
-        n_parameters: P.
-        layout: of the frames.
-    """
-    actions = handler.step(step)
-    if step.expect is Expect.ACTIONS:
-        return checked_actions(actions, len(step.updates))
-    if step.expect is Expect.END_ROUND:
-        return None
-    return checked_upload(handler.upload(), robots, n_parameters, layout)
 
 
 class Fleet(Protocol):
@@ -108,23 +88,12 @@ class ProtocolState:
         self.tick, self.window = tick, window
         self._next = _AFTER[expect]
 
-    def on_actions(self, tick: int) -> None:
-        """Actions are asked for."""
-        if self._next != "actions" or tick != self.tick:
-            raise ProtocolError(f"actions of tick {tick} where {self._next} is due, {self}")
-        self._next = "send_step"
-
-    def on_upload(self, window: int) -> None:
-        """An upload is asked for."""
-        if self._next != "upload" or window != self.window:
-            raise ProtocolError(f"an upload of window {window} where {self._next} is due, {self}")
-        self._next = "download"
-
-    def on_download(self, window: int) -> None:
-        """A global model goes out."""
-        if self._next != "download" or window != self.window:
-            raise ProtocolError(f"a download of window {window} where {self._next} is due, {self}")
-        self._next = "send_step"
+    def on_call(self, call: Literal["actions", "upload", "download"], number: int) -> None:
+        """`actions` of a tick is called, or `upload` or `download` of a window."""
+        kind, due = ("tick", self.tick) if call == "actions" else ("window", self.window)
+        if call != self._next or number != due:
+            raise ProtocolError(f"{call} of {kind} {number} where {self._next} is due, {self}")
+        self._next = "download" if call == "upload" else "send_step"
 
 
 _AFTER = {Expect.ACTIONS: "actions", Expect.WEIGHTS: "upload", Expect.END_ROUND: "a new round"}

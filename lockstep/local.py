@@ -23,17 +23,16 @@ from lockstep.messages import (
 )
 
 
-class LocalFleet:
+class InProcessFleet:
     """A `Fleet` of handlers in this process, called one after the other.
 
     Handlers see the same calls as over TCP. What one of them raises comes out as `RobotFailed`,
-    at once and not only where its answer is due. Weights are taken where they are due.
+    at once and not only where its answer is due. No Flower reply carries the weights at the end of
+    a round, so they may be taken there, too.
     """
 
     def __init__(
-        self,
-        handlers: Sequence[tuple[tuple[int, ...], Robots]],
-        layout: Layout = PLAIN,
+        self, handlers: Sequence[tuple[tuple[int, ...], Robots]], layout: Layout = PLAIN
     ) -> None:
         """A fleet before its first step.
 
@@ -41,20 +40,20 @@ class LocalFleet:
             handlers: each with the robots that it holds; together 0..K-1.
             layout: of the steps' records.
         """
-        self._robots, self._layout = robot_count([block for block, _ in handlers]), layout
-        self._handlers = [
-            (tuple(block), layout.rows_of(block), handler) for block, handler in handlers
-        ]
+        blocks = [block for block, _ in handlers]
+        self._robots, self._layout = robot_count(blocks), layout
+        self._handlers = [(block, layout.rows_of(block), handler) for block, handler in handlers]
         self._protocol = ProtocolState()
         self._answers: list[NDArray[np.int32]] = []
         self._parameters: int | None = None
-        self._closed = False
+        self._closed = self._has_ended = False
 
     def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
         """See `Fleet.send_step`."""
         self._check_open()
         checked_updates(updates, self._robots, self._layout)
         self._protocol.on_step(tick, window, expect)
+        self._has_ended = expect is Expect.END_ROUND
         answers = self._answers = []
         for block, rows, handler in self._handlers:
             step = Step(tick, window, expect, updates[rows].copy())
@@ -66,7 +65,7 @@ class LocalFleet:
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
         self._check_open()
-        self._protocol.on_actions(tick)
+        self._protocol.on_call("actions", tick)
         result = np.empty(self._robots * self._layout.worlds, np.int32)
         for (_, rows, _), given in zip(self._handlers, self._answers, strict=True):
             result[rows] = given
@@ -75,14 +74,26 @@ class LocalFleet:
     def upload(self, window: int) -> Payload:
         """See `Fleet.upload`."""
         self._check_open()
-        self._protocol.on_upload(window)
-        return self._uploaded()
+        if not self._has_ended:
+            self._protocol.on_call("upload", window)
+        parts = []
+        for block, _, handler in self._handlers:
+            with self._failing(block):
+                weights = handler.upload()
+                if self._parameters is None and not self._layout.upload:
+                    self._parameters = weights.shape[-1]
+                parameters = self._parameters or 0
+                parts.append(checked_upload(weights, len(block), parameters, self._layout))
+        result = np.empty((self._robots, *parts[0].shape[1:]), parts[0].dtype)
+        for (block, _, _), part in zip(self._handlers, parts, strict=True):
+            result[list(block)] = part
+        return result
 
     def download(self, window: int, weights: Payload) -> None:
         """See `Fleet.download`."""
         self._check_open()
         checked_download(weights, self._robots, self._parameters or weights.shape[-1], self._layout)
-        self._protocol.on_download(window)
+        self._protocol.on_call("download", window)
         for block, _, handler in self._handlers:
             with self._failing(block):
                 handler.download(window, of_block(weights, block))
@@ -90,7 +101,7 @@ class LocalFleet:
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`."""
         self._check_open()
-        self._protocol = ProtocolState()
+        self._protocol, self._has_ended = ProtocolState(), False
         for block, _, handler in self._handlers:
             with self._failing(block):
                 handler.begin(window, None if model is None else of_block(model, block))
@@ -98,22 +109,6 @@ class LocalFleet:
     def close(self) -> None:
         """See `Fleet.close`."""
         self._closed = True
-
-    def _uploaded(self) -> Payload:
-        """The robots' weights as they are now, in robot order."""
-        parts: dict[tuple[int, ...], Payload] = {}
-        for block, _, handler in self._handlers:
-            with self._failing(block):
-                weights = handler.upload()
-                if self._parameters is None and not self._layout.upload:
-                    self._parameters = weights.shape[-1]
-                parameters = self._parameters or 0
-                parts[block] = checked_upload(weights, len(block), parameters, self._layout)
-        first = next(iter(parts.values()))
-        result: Payload = np.empty((self._robots, *first.shape[1:]), first.dtype)
-        for block, part in parts.items():
-            result[list(block)] = part
-        return result
 
     @contextmanager
     def _failing(self, block: tuple[int, ...]) -> Iterator[None]:
@@ -126,18 +121,3 @@ class LocalFleet:
     def _check_open(self) -> None:
         if self._closed:
             raise LinkError("the link is closed")
-
-
-class InProcessFleet(LocalFleet):
-    """A local fleet without rounds: no Flower reply carries the last weights, so it takes them."""
-
-    _farewell = False
-
-    def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
-        """See ``Fleet.send_step``."""
-        super().send_step(tick, window, expect, updates)
-        self._farewell = expect is Expect.END_ROUND
-
-    def upload(self, window: int) -> Payload:
-        """See ``Fleet.upload``."""
-        return self._uploaded() if self._farewell else super().upload(window)

@@ -17,7 +17,7 @@ server drops all up to the `Ack` that has their number.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 from functools import cached_property
 from typing import Any
@@ -41,7 +41,6 @@ UPDATE = np.dtype(
     ]
 )
 """One robot's record in a `Step`: packed, little-endian, 26 bytes."""
-
 
 Payload = NDArray[Any]
 """Weights on their way: float32 where plain, uint8 where packed, see `Layout`."""
@@ -74,10 +73,10 @@ class Layout:
         """A record: `UPDATE`, then the credit and the broadcasts, if any."""
         if not self.broadcast and not self.credit:
             return UPDATE
-        numbers = (self.broadcast,)
-        more = [("credit", "<f8")] if self.credit else []
-        seen = [("outcome_broadcast", "<f4", numbers), ("broadcast", "<f4", numbers)]
-        return np.dtype([*UPDATE.descr, *more, *(seen if self.broadcast else [])])
+        credit = [("credit", "<f8")] if self.credit else []
+        names = ("outcome_broadcast", "broadcast") if self.broadcast else ()
+        told = [(name, "<f4", (self.broadcast,)) for name in names]
+        return np.dtype([*UPDATE.descr, *credit, *told])
 
     def rows_of(self, block: Sequence[int]) -> slice | NDArray[np.intp]:
         """The index that picks the rows of a block of robots: a slice where they are neighbours."""
@@ -145,11 +144,7 @@ class Hello:
     version: int
     fingerprint: str
     robots: list[int]
-    tokens: list[str]
-
-    def __repr__(self) -> str:
-        """Without the tokens, which no log may hold."""
-        return f"Hello(version={self.version}, robots={self.robots})"
+    tokens: list[str] = field(repr=False)  # no log may hold them
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,13 +200,10 @@ Message = Step | Actions | Weights | Hello | Welcome | Abort | Restore | Ack | R
 
 
 def robot_count(blocks: Sequence[Sequence[int]]) -> int:
-    """K, once it is certain that the blocks deal each of the robots 0..K-1 to one client.
-
-    Args:
-        blocks: the robots of each client.
+    """K, where the clients' blocks hold each of the robots 0..K-1 once and none is empty.
 
     Raises:
-        ValueError: a robot is missing, doubled or negative, or a block is empty.
+        ValueError: they do not.
     """
     robots = sorted(robot for block in blocks for robot in block)
     if not all(blocks) or robots != list(range(len(robots))) or not 1 <= len(robots) <= MAX_ROBOTS:
@@ -241,28 +233,21 @@ def checked_actions(actions: object, count: int) -> NDArray[np.int32]:
 
 def checked_upload(weights: object, robots: int, parameters: int, layout: Layout) -> Payload:
     """The weights of n robots, if they are as the layout says; they are never cast."""
-    found: Payload
     if layout.upload:
-        found = _checked(weights, np.uint8, [(robots, layout.upload)])
-    else:
-        found = _checked(weights, np.float32, [(robots, 2, parameters)])
-    return found
+        return _checked(weights, np.uint8, (robots, layout.upload))
+    return _checked(weights, np.float32, (robots, 2, parameters))
 
 
 def checked_download(weights: object, robots: int, parameters: int, layout: Layout) -> Payload:
     """A global model, or each of n robots' own, if it is as the layout says."""
-    if not layout.download:
-        return checked_model(weights, robots, parameters)
-    found: Payload = _checked(weights, np.uint8, [(layout.download,)])
-    return found
+    if layout.download:
+        return _checked(weights, np.uint8, (layout.download,))
+    return checked_model(weights, robots, parameters)
 
 
 def checked_model(weights: object, robots: int, parameters: int) -> NDArray[np.float32]:
     """Plain weights for all, or each of n robots' own."""
-    found: NDArray[np.float32] = _checked(
-        weights, np.float32, [(2, parameters), (robots, 2, parameters)]
-    )
-    return found
+    return _checked(weights, np.float32, (2, parameters), (robots, 2, parameters))
 
 
 def of_block(weights: Any, block: Sequence[int]) -> Any:
@@ -270,7 +255,7 @@ def of_block(weights: Any, block: Sequence[int]) -> Any:
     return weights[list(block)] if weights.ndim == 3 else weights.copy()
 
 
-def _checked(weights: object, kind: type, shapes: Sequence[tuple[int, ...]]) -> Any:
+def _checked(weights: object, kind: type, *shapes: tuple[int, ...]) -> Payload:
     """An array, if it is of this kind and of one of these shapes."""
     if not isinstance(weights, np.ndarray):
         raise TypeError(f"weights must be a {kind.__name__} array, not {type(weights).__name__}")

@@ -30,9 +30,12 @@ from lockstep.server_round import ServerRound
 class LinkServer:
     """Listens for the robots' clients and, once a round is open, drives them as a `Fleet`.
 
-    A round is opened with `admit`, begins with `wait_connected` and ends with a step that wants a
-    FAREWELL, with the next `admit`, or with `close`. Newcomers are heard on a thread of their own;
-    everything else happens in the caller's, which must be one at a time.
+    A round is opened with `admit`, begins with `wait_connected` and ends with a step that expects
+    `END_ROUND`, with the next `admit`, or with `close`. Pending connections are heard on a thread
+    of their own; everything else happens in the caller's, which must be one at a time.
+
+    Attributes:
+        address: host, as it was given, and port.
     """
 
     def __init__(
@@ -65,23 +68,17 @@ class LinkServer:
             listener = socket.create_server((host, port), family=family, backlog=128)
         except (OSError, OverflowError) as error:
             raise LinkError(f"cannot listen on {host}:{port}: {error}") from error
-        self._address = (host, int(listener.getsockname()[1]))
+        self.address = (host, int(listener.getsockname()[1]))
         self._fingerprint, self._timeout_s = fingerprint, timeout_s
         self._stats: dict[tuple[int, ...], BlockStats] = {}
-        self._exchange: ServerRound | None = None
-        self._robots, self._layout = 0, layout
-        self._shape = (0, 0)
+        self._round: ServerRound | None = None
+        self._robots, self._parameters, self._layout = 0, 0, layout
         self._acceptor = Acceptor(listener, handshake_s, server_context)
         self._acceptor.start()
 
-    @property
-    def address(self) -> tuple[str, int]:
-        """Host, as it was given, and port."""
-        return self._address
-
     def admit(
         self,
-        blocks: Sequence[tuple[int, ...]],
+        blocks: Sequence[Sequence[int]],
         tokens: Mapping[int, str],
         weights_shape: tuple[int, int],
     ) -> None:
@@ -96,27 +93,20 @@ class LinkServer:
         if missing := [robot for robot in range(robots) if not tokens.get(robot)]:
             raise ValueError(f"no token for robots {missing}")
         self._part("a new round has begun")
-        self._robots, self._shape = robots, weights_shape
-        slots = [
-            ClientSlot(
-                block, weights_shape, self._layout, self._stats.setdefault(block, BlockStats())
-            )
-            for block in map(tuple, blocks)
-        ]
-        admission = RoundCredentials(
-            self._fingerprint, tuple(slot.block for slot in slots), dict(tokens)
-        )
-        self._exchange = ServerRound(
-            admission, slots, self._acceptor.accepted, self._acceptor.wakeup, self._timeout_s
-        )
+        self._robots, self._parameters = robots, weights_shape[1]
+        slots = []
+        each = [tuple(block) for block in blocks]
+        for block in each:
+            stats = self._stats.setdefault(block, BlockStats())
+            slots.append(ClientSlot(block, self._parameters, self._layout, stats))
+        admission = RoundCredentials(self._fingerprint, tuple(each), dict(tokens))
+        self._round = ServerRound(admission, slots, self._acceptor, self._timeout_s)
         self._acceptor.admission = admission
 
     def wait_connected(self, deadline_s: float, poll: Callable[[], None] | None = None) -> None:
-        """Wait until all clients of the round are connected.
+        """Wait until all clients of the round are connected, for `deadline_s` seconds at most.
 
-        Args:
-            deadline_s: the longest wait, in s.
-            poll: called about every 0.2 s; what it raises ends the wait.
+        `poll` is called about every 0.2 s; what it raises ends the wait.
 
         Raises:
             LinkTimeout: the deadline has passed; it names the robots that did not come.
@@ -133,7 +123,7 @@ class LinkServer:
         self._open.renew(block, tokens)
 
     def halt(self) -> list[int]:
-        """Make all clients drop what is under way, once they are connected.
+        """Make all clients, which must be connected, drop what is under way.
 
         Returns:
             The windows, ascending, of which all robots have a checkpoint.
@@ -150,39 +140,37 @@ class LinkServer:
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """See `Fleet.begin`; once all clients are connected, whatever was under way."""
         if model is not None:
-            checked_model(model, self._robots, self._shape[1])
+            checked_model(model, self._robots, self._parameters)
         self._open.begin(window, model)
 
     def send_step(self, tick: int, window: int, expect: Expect, updates: np.ndarray) -> None:
         """See `Fleet.send_step`."""
-        exchange = self._open
-        records = checked_updates(updates, self._robots, self._layout).tobytes()
-        exchange.protocol.on_step(tick, window, expect)
-        awaited = expect is not Expect.END_ROUND
-        for slot in exchange.slots.values():
-            frame = step_frame(tick, window, expect, slot.records(records), slot.count)
-            exchange.send(slot, frame, awaited)
+        current = self._open
+        checked_updates(updates, self._robots, self._layout)
+        current.protocol.on_step(tick, window, expect)
+        for slot in current.slots.values():
+            frame = step_frame(tick, window, expect, updates[slot.rows].tobytes(), slot.count)
+            current.send(slot, frame, awaited=expect is not Expect.END_ROUND)
 
     def actions(self, tick: int) -> NDArray[np.int32]:
         """See `Fleet.actions`."""
-        exchange = self._open
-        exchange.protocol.on_actions(tick)
+        current = self._open
+        current.protocol.on_call("actions", tick)
         result = np.empty(self._robots * self._layout.worlds, np.int32)
 
         def accept(slot: ClientSlot, frame: memoryview) -> None:
             result[slot.rows] = actions_in(frame, tick, slot.count)
 
-        exchange.gather(accept)
+        current.gather(accept)
         return result
 
     def upload(self, window: int) -> Payload:
         """See `Fleet.upload`."""
-        exchange = self._open
-        exchange.protocol.on_upload(window)
+        current = self._open
+        current.protocol.on_call("upload", window)
         packed = self._layout.upload
-        result: Payload = np.empty((self._robots, *self._shape), np.float32)
-        if packed:
-            result = np.empty((self._robots, packed), np.uint8)
+        shape, kind = ((packed,), np.uint8) if packed else ((2, self._parameters), np.float32)
+        result: Payload = np.empty((self._robots, *shape), kind)
 
         def accept(slot: ClientSlot, frame: memoryview) -> None:
             message = decode(frame)
@@ -190,26 +178,24 @@ class LinkServer:
                 raise FrameError(
                     f"{type(message).__name__} where weights of window {window} are due"
                 )
+            given, count = message.weights, len(slot.block)
             try:
-                given = checked_upload(
-                    message.weights, len(slot.robots), self._shape[1], self._layout
-                )
+                result[slot.robots] = checked_upload(given, count, self._parameters, self._layout)
             except ValueError as error:
                 raise FrameError(str(error)) from error
-            result[slot.robots] = given
 
-        exchange.gather(accept)
+        current.gather(accept)
         return result
 
     def download(self, window: int, weights: Payload) -> None:
         """See `Fleet.download`."""
-        exchange = self._open
-        checked_download(weights, self._robots, self._shape[1], self._layout)
-        exchange.protocol.on_download(window)
+        current = self._open
+        checked_download(weights, self._robots, self._parameters, self._layout)
+        current.protocol.on_call("download", window)
         frame = encode(Weights(window, weights)) if weights.ndim < 3 else b""
-        for slot in exchange.slots.values():
+        for slot in current.slots.values():
             own = frame or encode(Weights(window, of_block(weights, slot.robots)))
-            exchange.send(slot, own, awaited=False)
+            current.send(slot, own, awaited=False)
 
     def stats(self) -> dict[tuple[int, ...], BlockStats]:
         """What each client has cost so far, over all rounds: bytes, frames, seconds waited."""
@@ -223,13 +209,13 @@ class LinkServer:
     @property
     def _open(self) -> ServerRound:
         """The round that is open."""
-        if self._exchange is None:
+        if self._round is None:
             raise LinkError("no round is open: call admit first")
-        return self._exchange
+        return self._round
 
     def _part(self, reason: str) -> None:
         """End the round, if there is one."""
         self._acceptor.admission = None
-        if self._exchange is not None:
-            self._exchange.part(reason)
-            self._exchange = None
+        if self._round is not None:
+            self._round.part(reason)
+            self._round = None

@@ -7,16 +7,14 @@ object, so that a wait for any client notices at once when any other goes away.
 import contextlib
 import logging
 import select
-import socket
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lockstep.acceptor import AcceptedClient, RoundCredentials
+from lockstep.acceptor import Acceptor, RoundCredentials
 from lockstep.client_slots import ClientSlot
 from lockstep.errors import FrameError, LinkTimeout, RobotFailed, RobotLost, described, named
 from lockstep.frame_stream import FrameStream
@@ -35,26 +33,21 @@ class ServerRound:
         self,
         admission: RoundCredentials,
         slots: Sequence[ClientSlot],
-        accepted: deque[AcceptedClient],
-        wakeup: socket.socket,
+        acceptor: Acceptor,
         timeout_s: float,
     ) -> None:
-        """A round in which all slots are free.
+        """A round in which all slots, one for each block, are free.
 
-        Args:
-            admission: the terms of this round; arrivals under other terms are turned away.
-            slots: one for each block.
-            accepted: where the acceptor leaves clients that it has let in.
-            wakeup: readable when there are new ones.
-            timeout_s: the longest wait for an answer.
+        Arrivals under other terms than `admission` are turned away; an answer is waited for
+        `timeout_s` seconds at most.
         """
         self.slots = {slot.block: slot for slot in slots}
         self.protocol = ProtocolState()
-        self._admission, self._accepted, self._wakeup = admission, accepted, wakeup
-        self._timeout_s = timeout_s
+        self._admission, self._timeout_s = admission, timeout_s
+        self._accepted, self._wakeup = acceptor.accepted, acceptor.wakeup
         self._slot_of: dict[int, ClientSlot] = {}
         self._poll = select.poll()
-        self._poll.register(wakeup, select.POLLIN)
+        self._poll.register(self._wakeup, select.POLLIN)
         self._filling = True
         self._orders = 0
 
@@ -89,38 +82,30 @@ class ServerRound:
 
     def begin(self, window: int, model: NDArray[np.float32] | None) -> None:
         """Send all clients to a window, and wait until they are there."""
-        self.protocol = ProtocolState()
-        number = self._orders + 1
 
-        def restore(slot: ClientSlot) -> Restore:
+        def restore(number: int, slot: ClientSlot) -> Restore:
             own = None if model is None else of_block(model, slot.robots)
             return Restore(number, window, own)
 
-        self._order(number, restore)
+        self._order(restore)
 
     def halt(self) -> list[int]:
         """Make all clients drop what is under way; returns the checkpoints that all have."""
-        self.protocol = ProtocolState()
-        number = self._orders + 1
-        self._order(number, lambda slot: Abort(number))
+        self._order(lambda number, slot: Abort(number))
         return sorted(frozenset.intersection(*(slot.windows for slot in self.slots.values())))
 
-    def _order(self, number: int, order: Callable[[ClientSlot], Abort | Restore]) -> None:
-        """Send clients what ends all that is under way; keeps what their `Ack` say.
-
-        Args:
-            number: the order's.
-            order: for each client.
-        """
-        self._orders = number
+    def _order(self, order: Callable[[int, ClientSlot], Abort | Restore]) -> None:
+        """Send clients what ends all that is under way; keeps what their `Ack` say."""
+        self.protocol = ProtocolState()
+        self._orders += 1
         for slot in self.slots.values():
             slot.stale = True
-            self.send(slot, encode(order(slot)), awaited=True)
+            self.send(slot, encode(order(self._orders, slot)), awaited=True)
 
         def accept(slot: ClientSlot, frame: memoryview) -> None:
-            ready = decode(frame)
-            assert isinstance(ready, Ack)
-            slot.windows = frozenset(ready.windows)
+            ack = decode(frame)
+            assert isinstance(ack, Ack)
+            slot.windows = frozenset(ack.windows)
 
         self.gather(accept)
 
@@ -198,7 +183,7 @@ class ServerRound:
             return None
         try:
             frame = stream.receive()
-            while frame is not None and slot.stale and not self._is_ready(slot, frame):
+            while frame is not None and slot.stale and not self._is_current(slot, frame):
                 frame = stream.receive()
             if frame is None:
                 return None
@@ -215,8 +200,8 @@ class ServerRound:
         slot.stats.frames_received += 1
         return frame
 
-    def _is_ready(self, slot: ClientSlot, frame: memoryview) -> bool:
-        """Whether a client that was sent to a window is there; a failure is not waited past."""
+    def _is_current(self, slot: ClientSlot, frame: memoryview) -> bool:
+        """Whether a frame is the last order's `Ack`, or a failure: all before it is dropped."""
         if frame[5] == Kind.FAILURE:
             return True
         message = decode(frame)
@@ -264,18 +249,16 @@ class ServerRound:
 
     def _fail(self, slot: ClientSlot, frame: memoryview) -> NoReturn:
         """A client has said why it stops."""
-        words = decode(frame)
+        reason = getattr(decode(frame), "reason", "")
         self._drop(slot)
-        raise RobotFailed(slot.block, str(self.protocol), getattr(words, "reason", ""))
+        raise RobotFailed(slot.block, str(self.protocol), reason)
 
     def _lose(self, slot: ClientSlot, reason: str) -> NoReturn:
-        """Close a client's connection, and say why the round cannot go on."""
         log.warning("connection of %s closed %s: %s", named(slot.block), self.protocol, reason)
         self._drop(slot)
         raise RobotLost(slot.block, str(self.protocol), reason)
 
     def _drop(self, slot: ClientSlot) -> None:
-        """Free a slot."""
         if slot.stream is not None:
             del self._slot_of[slot.stream.fileno()]
             self._poll.unregister(slot.stream)

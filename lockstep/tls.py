@@ -12,12 +12,9 @@ from lockstep.errors import LinkError, described
 
 
 def server_context(certificate_pem: str, key_pem: str) -> ssl.SSLContext:
-    """What a `LinkServer` needs to speak TLS 1.3.
+    """What a `LinkServer` needs to speak TLS 1.3, from the run's certificate and private key.
 
-    Args:
-        certificate_pem: the run's certificate.
-        key_pem: its private key. It is read through a file that only this user may read and that
-            is gone when this returns.
+    They are read through a file that only this user may read and that is gone when this returns.
 
     Raises:
         LinkError: they are no certificate and key, or do not belong together.
@@ -42,9 +39,6 @@ def client_context(certificate_pem: str) -> ssl.SSLContext:
     identity, nobody else can have it, and a robot may reach the server under another name or
     through an address translation. The certificate may sign no other, so it is the only one that
     is ever accepted.
-
-    Args:
-        certificate_pem: the run's certificate.
 
     Raises:
         LinkError: that is not exactly one certificate.

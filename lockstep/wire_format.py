@@ -78,11 +78,7 @@ def model_size(robots: int, parameters: int, layout: Layout) -> int:
 
 
 def frame_size(head: memoryview, limit: int) -> int:
-    """Bytes of the frame that begins here, header included.
-
-    Args:
-        head: at least `HEADER.size` bytes.
-        limit: the longest frame that the reader takes.
+    """Bytes, at most `limit`, of the frame that begins with `head`, which holds its header.
 
     Raises:
         FrameError: this is no header, or the frame would be too long.

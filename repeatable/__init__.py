@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from repeatable.checkpoints import OtherRunError
     from repeatable.client import client_app, generator
-    from repeatable.digests import digest
     from repeatable.isolation import seeded
     from repeatable.local import LocalGrid
     from repeatable.partitions import ClientLostError
+    from repeatable.records import digest
     from repeatable.strategy import Repeatable
 
 __all__ = [
@@ -45,7 +45,7 @@ _HOMES = {
     "OtherRunError": "checkpoints",
     "Repeatable": "strategy",
     "client_app": "client",
-    "digest": "digests",
+    "digest": "records",
     "generator": "client",
     "seeded": "isolation",
 }

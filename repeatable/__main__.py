@@ -12,9 +12,9 @@ from pathlib import Path
 
 from repeatable import kills
 from repeatable.checkpoints import newest_arrays
-from repeatable.digests import digest
 from repeatable.live import LiveError
 from repeatable.process_tracker import ROLES, Deck
+from repeatable.records import digest
 from storage.checkpoint_files import CheckpointError
 
 

@@ -84,12 +84,9 @@ def state_folder(place: str | os.PathLike[str] | None) -> Path | None:
 
 
 def save(folder: Path, progress: Progress, owner: dict[str, Json]) -> None:
-    """Writes a checkpoint of the round, whole or not at all.
+    """Writes a checkpoint of a round, whole or not at all, to an app's folder.
 
-    Args:
-        folder: the app's.
-        progress: after a round.
-        owner: what another start of the same run has, too.
+    ``owner`` is what another start of the same run has, too.
     """
     records = RecordDict({_MODEL: progress.result.arrays, _TRAIN: progress.train_config})
     records[_EVALUATE] = progress.evaluate_config
@@ -98,21 +95,13 @@ def save(folder: Path, progress: Progress, owner: dict[str, Json]) -> None:
             records[f"{history}/{number}"] = metrics
     arrays, described = packed(records)
     strategy = {f"{_STRATEGY}{name}": array for name, array in progress.strategy.items()}
-    meta: dict[str, Json] = {
-        **owner,
-        "run": progress.run,
-        "records": described,
-        "kept": list(progress.strategy),
-    }
+    meta: dict[str, Json] = {**owner, "run": progress.run, "records": described}
+    meta["kept"] = list(progress.strategy)
     save_checkpoint(_place(folder), progress.round, arrays | strategy, meta)
 
 
 def newest(folder: Path, owner: dict[str, Json]) -> Progress | None:
-    """The newest whole checkpoint; None where there is none at all.
-
-    Args:
-        folder: the app's.
-        owner: see ``save``.
+    """The newest whole checkpoint of a run that ``save`` knew by this owner; None without any.
 
     Raises:
         OtherRunError: it is another run's.

@@ -13,10 +13,9 @@ from flwr.clientapp import ClientApp
 from flwr.clientapp.typing import ClientAppCallable, Mod
 
 from repeatable.checkpoints import state_folder
-from repeatable.digests import digest
 from repeatable.isolation import seeded
 from repeatable.partitions import KEY
-from repeatable.records import packed, unpacked
+from repeatable.records import digest, packed, unpacked
 from storage.checkpoint_files import checkpoints, load_checkpoint, save_checkpoint
 
 _PHASES = 2

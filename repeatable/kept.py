@@ -14,7 +14,6 @@ from flwr.serverapp.strategy import FedAvg, Strategy
 
 from storage.generators import generator_state, restore_generator
 
-State = dict[str, npt.NDArray[Any]]
 Items = dict[str, npt.NDArray[Any]]
 
 _SETTINGS = frozenset(vars(FedAvg()))
@@ -27,32 +26,26 @@ KINDS = (
 
 
 class Kept:
-    """The attributes of a strategy that have changed since it was made.
-
-    Args:
-        strategy: a fresh one.
-    """
+    """The attributes of a strategy that have changed since this was made, of a fresh one."""
 
     def __init__(self, strategy: Strategy) -> None:
         self._strategy = strategy
-        self._within = {
-            name: Kept(value)
-            for name, value in vars(strategy).items()
-            if isinstance(value, Strategy)
-        }
+        self._within: dict[str, Kept] = {}
         self._fresh: dict[str, Any] = {}
         for name, value in vars(strategy).items():
-            if name not in self._within and name not in _SETTINGS:
+            if isinstance(value, Strategy):
+                self._within[name] = Kept(value)
+            elif name not in _SETTINGS:
                 with suppress(Exception):  # what cannot be copied stays as it is
                     self._fresh[name] = copy.deepcopy(value)
 
-    def state(self) -> State:
+    def state(self) -> Items:
         """What is there now, as copies; empty where nothing has changed.
 
         Raises:
             ValueError: something has changed that cannot be kept; the message names it.
         """
-        found: State = {}
+        found: Items = {}
         for name, value in vars(self._strategy).items():
             if name in _SETTINGS:
                 continue
@@ -72,7 +65,7 @@ class Kept:
                 found.update({f"{name}/{kind}/{key}": array for key, array in items.items()})
         return found
 
-    def restore(self, state: State) -> None:
+    def restore(self, state: Items) -> None:
         """Puts back what ``state`` gave, exactly; ``{}`` is a fresh strategy.
 
         Raises:
@@ -109,13 +102,13 @@ def _pack(value: Any) -> tuple[str, Items] | None:
         number = np.array([value])
         return None if number.dtype == object else ("number", {"0": number})
     if isinstance(value, list) and all(isinstance(it, np.ndarray) for it in value):
-        length = {"length": np.array([len(value)])}
-        return "list", {**length, **{str(i): it.copy() for i, it in enumerate(value)}}
+        items = {str(i): it.copy() for i, it in enumerate(value)}
+        return "list", {"length": np.array([len(value)]), **items}
     if isinstance(value, dict) and all(isinstance(it, np.ndarray) for it in value.values()):
         for kind, of in (("dict", str), ("intdict", int)):
             if all(type(key) is of for key in value):
-                count = {"": np.array([len(value)])}
-                return kind, {**count, **{f"={key}": it.copy() for key, it in value.items()}}
+                items = {f"={key}": it.copy() for key, it in value.items()}
+                return kind, {"": np.array([len(value)]), **items}
     if isinstance(value, str | list | dict) and (text := _plain(value)):
         return "json", {"0": np.frombuffer(text.encode(), np.uint8)}
     return None
@@ -149,7 +142,7 @@ def _differs(value: Any, before: Any) -> bool:
         return True
 
 
-def _unpack(attribute: str, state: State) -> Any:
+def _unpack(attribute: str, state: Items) -> Any:
     """The inverse of ``_pack``, for an attribute of which the state has something."""
     items, kind = {}, ""
     for key, array in state.items():

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from repeatable.checkpoints import newest_arrays, newest_round, round_s
-from repeatable.digests import digest
 from repeatable.live import LiveError, LiveRun
 from repeatable.process_tracker import Deck, aim
 from repeatable.processes import Process
+from repeatable.records import digest
 
 SIMULATION = ("ServerApp (engine)", "SuperLink", "ClientApp")
 DEPLOYMENT = ("ServerApp", "SuperLink", "SuperNode", "ClientApp")
@@ -36,28 +36,14 @@ class Kill:
 
 
 def schedule(rng: random.Random, kills: int, rounds: int, longest_s: float) -> list[Kill]:
-    """Draws when to kill, in order.
-
-    Args:
-        rng: of the schedule.
-        kills: how many.
-        rounds: of the run.
-        longest_s: the longest delay after a round's end, such as what a round takes.
-    """
+    """Draws when to kill, in order: each at most ``longest_s`` after the end of a round."""
     drawn = sorted(rng.randrange(rounds) for _ in range(kills))
     return [Kill(each, rng.uniform(0.0, longest_s)) for each in drawn]
 
 
 @dataclass(frozen=True)
 class Task:
-    """An app, and how it is played.
-
-    Attributes:
-        app: its folder.
-        clients: how many there are.
-        config: values of the run's configuration, the key ``state-dir`` left out.
-        deployment: whether clients are SuperNodes of their own.
-    """
+    """An app, and how it is played: see ``LiveRun``; ``config`` without ``state-dir``."""
 
     app: Path
     clients: int
@@ -75,7 +61,7 @@ class Ending:
     """How a task ended.
 
     Attributes:
-        rounds: that it played.
+        rounds: how many it played.
         digest: of its model.
         round_s: what one of the last rounds took, in s.
         killed: how many processes.
@@ -100,8 +86,8 @@ def play(
         task: what to play.
         folder: of its state, absolute.
         kills: when to kill, in order.
-        deck: whom.
-        tell: gets a line for each kill.
+        deck: whom to kill.
+        tell: is given a line for each kill.
 
     Raises:
         LiveError: it failed, or stood still, though nothing was killed.

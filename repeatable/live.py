@@ -13,9 +13,8 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from repeatable.private import SETTINGS, started_apart, with_scripts
 from repeatable.process_tracker import MARK, ProcessTracker
-from repeatable.processes import Process
+from repeatable.processes import SETTINGS, Process, started_apart, with_scripts
 
 _HOST = "127.0.0.1"
 _CONNECTION = "repeatable"

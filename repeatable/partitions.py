@@ -34,7 +34,7 @@ class Partitions:
     """The nodes of a federation by partition, asked once each.
 
     Args:
-        count: how many there are; None takes the nodes' word, ``num-partitions``.
+        count: of partitions; None takes the nodes' word, ``num-partitions``.
     """
 
     def __init__(self, count: int | None) -> None:
@@ -58,9 +58,8 @@ class Partitions:
                 return {partition: held[partition] for partition in range(count)}
             if time.monotonic() - said > _SAY_S:
                 said = time.monotonic()
-                missing = [str(partition) for partition in range(count) if partition not in held]
-                text = "Waiting for the nodes of partitions: %s"
-                logging.getLogger("flwr").info(text, ", ".join(missing) or "all")
+                missing = ", ".join(str(each) for each in range(count) if each not in held) or "all"
+                logging.getLogger("flwr").info("Waiting for the nodes of partitions: %s", missing)
             time.sleep(_POLL_S)
 
     def addressed(
@@ -92,15 +91,15 @@ class Partitions:
             ClientLostError: there is none of a client that was asked, or an error.
         """
         found = {self._of_node.get(reply.metadata.src_node_id): reply for reply in replies}
+        asked = sorted(self._asked.items())
         lost = [
             f"{partition} ({_reason(found.get(partition))})"
-            for partition in sorted(self._asked)
+            for partition, _ in asked
             if partition not in found or found[partition].has_error()
         ]
         if lost:
             say = f"round {server_round}: no result from partitions {', '.join(lost)}"
             raise ClientLostError(say)
-        asked = sorted(self._asked.items())
         return [Message(found[partition].content, reply_to=message) for partition, message in asked]
 
     def _ask(self, grid: Grid, nodes: Iterable[int]) -> None:
@@ -131,12 +130,7 @@ def _reason(reply: Message | None) -> str:
 
 
 class View:
-    """A federation as a strategy sees it: partition k is node k + 1, in every run.
-
-    Args:
-        grid: Flower's; all but the nodes' numbers is its own.
-        count: of partitions.
-    """
+    """A federation as a strategy sees it: partition k is node k + 1; all else is the grid's own."""
 
     def __init__(self, grid: Grid, count: int) -> None:
         self._grid, self._count = grid, count

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from repeatable.processes import Process, command, environment, identify, members, table
+from repeatable.processes import Process, command, identify, members
 
 MARK = "RISFLEET_CHAOS"
 """An environment variable that every process of a run under test inherits from the first."""
@@ -58,8 +58,7 @@ class ProcessTracker:
 
     def alive(self) -> set[Process]:
         """The processes that are there now."""
-        marked = {row for row in table().values() if self._is_marked(row)}
-        alive = members(None, self._known | marked)
+        alive = members(self._mark, self._known, variable=MARK)
         self._known |= alive
         return alive
 
@@ -74,10 +73,7 @@ class ProcessTracker:
         return found
 
     def wait_gone(self, within_s: float) -> tuple[set[Process], float]:
-        """Wait until none is there.
-
-        Args:
-            within_s: the longest wait.
+        """Wait until none is there, for ``within_s`` seconds at most.
 
         Returns:
             Those that still are there, and the seconds until the last was seen.
@@ -101,9 +97,6 @@ class ProcessTracker:
                 if (target := aim(row)) is not None:
                     target.kill()
             time.sleep(_POLL_S)
-
-    def _is_marked(self, row: Process) -> bool:
-        return row.pid != os.getpid() and environment(row.pid).get(MARK) == self._mark
 
 
 @dataclass(frozen=True)
@@ -137,23 +130,14 @@ def aim(process: Process) -> KillTarget | None:
 
 
 class Deck:
-    """Whom to kill next: every role has its turn, in a random order, as soon as it is there.
-
-    Args:
-        roles: whom to kill at all.
-        rng: of the suite.
-    """
+    """Whom to kill next: each role has its turn, in random order, as soon as it is there."""
 
     def __init__(self, roles: Sequence[str], rng: random.Random) -> None:
         self._roles, self._rng = roles, rng
         self._cards: list[str] = []
 
     def pick(self, there: Mapping[str, Sequence[Process]]) -> tuple[str, Process] | None:
-        """A role and a process of it; None if none of the roles is there.
-
-        Args:
-            there: the processes by role.
-        """
+        """A role and a process of it, of those that are there by role; None if none is."""
         present = [role for role in self._roles if role in there]
         if not present:
             return None

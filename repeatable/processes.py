@@ -1,4 +1,4 @@
-"""Find and end every process of a session, whatever session or parent it has moved to.
+"""Start, find and end every process of a session, whatever session or parent it has moved to.
 
 Flower's SuperExec starts a session of its own and Ray's services outlive the process that started
 them, so neither a process group nor a tree of parents holds them all. Three things do: an
@@ -11,13 +11,25 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sysconfig
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 import psutil  # type: ignore[import-untyped]
+
+SETTINGS = {
+    "FLWR_TELEMETRY_ENABLED": "0",
+    "FLWR_DISABLE_UPDATE_CHECK": "1",
+    # Without it a SuperLink installs the dependencies anew for every run, torch included.
+    "FLWR_DISABLE_RUNTIME_DEPENDENCY_INSTALLATION": "1",
+    "RAY_USAGE_STATS_ENABLED": "0",
+}
+"""Variables for processes of a private Flower session."""
 
 MARKER = "RISFLEET_SESSION"
 
@@ -41,6 +53,32 @@ class Process:
     started: str
     parent: int = field(default=0, compare=False)
     zombie: bool = field(default=False, compare=False)
+
+
+def with_scripts(environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment in which Flower finds its own commands, which it starts by bare names."""
+    scripts = sysconfig.get_path("scripts")
+    path = os.pathsep.join([scripts, environment.get("PATH", os.defpath)])
+    return {**environment, "PATH": path}
+
+
+def started_apart(
+    argv: Sequence[str],
+    folder: Path,
+    environment: Mapping[str, str],
+    output: IO[bytes] | int,
+    errors: IO[bytes] | int = subprocess.STDOUT,
+) -> subprocess.Popen[bytes]:
+    """Starts a process in a folder, away from our terminal's signals; errors go with the output."""
+    return subprocess.Popen(
+        argv,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=errors,
+        cwd=folder,
+        env=environment,
+        start_new_session=True,
+    )
 
 
 def table() -> dict[int, Process]:
@@ -77,14 +115,19 @@ def environment(pid: int) -> Mapping[str, str]:
 
 
 def members(
-    marker: str | None, roots: Iterable[Process] = (), folder: Path | None = None
+    marker: str | None,
+    roots: Iterable[Process] = (),
+    folder: Path | None = None,
+    *,
+    variable: str = MARKER,
 ) -> set[Process]:
     """Running processes that carry the marker, work in the folder, are roots, or descend from any.
 
     Args:
-        marker: value of the environment variable `MARKER`; None looks at parents alone (cheap).
+        marker: value of the environment variable; None looks at parents alone (cheap).
         roots: processes known to belong to the session.
         folder: the session's own; None looks at no folder.
+        variable: the environment variable.
 
     Returns:
         The processes, this one and zombies left out.
@@ -92,9 +135,10 @@ def members(
     rows = table()
     known = {root.pid for root in roots if rows.get(root.pid) == root}
     if marker is not None:
-        unknown = rows.keys() - known
         folder = folder and folder.resolve()
-        known |= {pid for pid in unknown if _is_marked(pid, marker) or _works_in(pid, folder)}
+        for pid in rows.keys() - known:
+            if environment(pid).get(variable) == marker or (folder and _works_in(pid, folder)):
+                known.add(pid)
     children: dict[int, list[int]] = {}
     for row in rows.values():
         children.setdefault(row.parent, []).append(row.pid)
@@ -116,17 +160,10 @@ def terminate(
     grace_s: float = 3.0,
     kill_s: float = 5.0,
 ) -> set[Process]:
-    """Ask a session's processes to end, and kill those that have not after the grace.
-
-    Args:
-        marker: as in `members`.
-        roots: as in `members`.
-        folder: as in `members`.
-        grace_s: seconds from SIGTERM to SIGKILL.
-        kill_s: seconds of SIGKILL before giving up.
+    """Ask a session's processes, see `members`, to end; SIGKILL follows `grace_s` seconds later.
 
     Returns:
-        The processes that are still there, normally none.
+        The processes that are still there another `kill_s` seconds later, normally none.
     """
     known = set(roots)
     asked: set[Process] = set()
@@ -139,15 +176,11 @@ def terminate(
         known |= alive
         late = elapsed > grace_s
         for process in alive if late else alive - asked:
-            _signal(process, signal.SIGKILL if late else signal.SIGTERM)
+            with suppress(ProcessLookupError, PermissionError):
+                os.kill(process.pid, signal.SIGKILL if late else signal.SIGTERM)
         asked |= alive
         time.sleep(0.05)
     return alive
-
-
-def _signal(process: Process, number: int) -> None:
-    with suppress(ProcessLookupError, PermissionError):
-        os.kill(process.pid, number)
 
 
 def _row(handle: psutil.Process, booted_s: float) -> Process | None:
@@ -164,12 +197,8 @@ def _row(handle: psutil.Process, booted_s: float) -> Process | None:
         return None
 
 
-def _is_marked(pid: int, marker: str) -> bool:
-    return environment(pid).get(MARKER) == marker
-
-
-def _works_in(pid: int, folder: Path | None) -> bool:
+def _works_in(pid: int, folder: Path) -> bool:
     try:
-        return folder is not None and bool(psutil.Process(pid).cwd() == str(folder))
+        return bool(psutil.Process(pid).cwd() == str(folder))
     except psutil.Error:
         return False

@@ -1,4 +1,4 @@
-"""Flower's records as arrays and JSON, which come back as they were, in their order."""
+"""Flower's records as arrays and JSON, which come back as they were, and models' digests."""
 
 from __future__ import annotations
 
@@ -10,9 +10,19 @@ import numpy as np
 from flwr.app import Array, ArrayRecord, ConfigRecord, MetricRecord, RecordDict
 from numpy.typing import NDArray
 
-from storage.checkpoint_files import Arrays, Json
+from storage.checkpoint_files import Arrays, Json, arrays_digest
 
 _PLAIN = {"metrics": MetricRecord, "config": ConfigRecord}
+
+
+def digest(arrays: ArrayRecord | Mapping[str, NDArray[np.generic]]) -> str:
+    """SHA-256 of a model, 64 hexadecimal digits: the same where two are the same to the bit.
+
+    Names, types, shapes and values count, and not their order.
+    """
+    if isinstance(arrays, ArrayRecord):
+        arrays = {name: array.numpy() for name, array in arrays.items()}
+    return arrays_digest(arrays)
 
 
 def packed(records: RecordDict) -> tuple[Arrays, list[Json]]:

@@ -6,7 +6,7 @@ import logging
 import os
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from typing import Any, cast
+from typing import cast
 
 from flwr.app import ArrayRecord, ConfigRecord, Message, MetricRecord
 from flwr.serverapp import Grid
@@ -14,10 +14,10 @@ from flwr.serverapp.strategy import Result, Strategy
 
 from repeatable import checkpoints
 from repeatable.checkpoints import Progress
-from repeatable.digests import digest
 from repeatable.isolation import seeded
 from repeatable.kept import Kept
 from repeatable.partitions import ClientLostError, Partitions, View
+from repeatable.records import digest
 from storage.checkpoint_files import Json
 
 TRAIN, EVALUATE, SERVER = range(3)
@@ -74,11 +74,8 @@ class Repeatable(Strategy):
         self, server_round: int, arrays: ArrayRecord, config: ConfigRecord, grid: Grid
     ) -> Iterable[Message]:
         """As the strategy does, to the nodes that hold the partitions which it asks."""
-        nodes = self._partitions.nodes(grid)
-        view = cast(Grid, View(grid, len(nodes)))
-        with self._seeded(server_round, TRAIN, _CONFIGURE):
-            messages = self._strategy.configure_train(server_round, arrays, config, view)
-            return self._partitions.addressed(messages, nodes, self._order(server_round, TRAIN))
+        ask = self._strategy.configure_train
+        return self._configured(TRAIN, ask, server_round, arrays, config, grid)
 
     def aggregate_train(
         self, server_round: int, replies: Iterable[Message]
@@ -96,11 +93,8 @@ class Repeatable(Strategy):
         self, server_round: int, arrays: ArrayRecord, config: ConfigRecord, grid: Grid
     ) -> Iterable[Message]:
         """See ``configure_train``."""
-        nodes = self._partitions.nodes(grid)
-        view = cast(Grid, View(grid, len(nodes)))
-        with self._seeded(server_round, EVALUATE, _CONFIGURE):
-            messages = self._strategy.configure_evaluate(server_round, arrays, config, view)
-            return self._partitions.addressed(messages, nodes, self._order(server_round, EVALUATE))
+        ask = self._strategy.configure_evaluate
+        return self._configured(EVALUATE, ask, server_round, arrays, config, grid)
 
     def aggregate_evaluate(
         self, server_round: int, replies: Iterable[Message]
@@ -109,6 +103,23 @@ class Repeatable(Strategy):
         ordered = self._partitions.ordered(server_round, replies)
         with self._seeded(server_round, EVALUATE, _AGGREGATE):
             return self._strategy.aggregate_evaluate(server_round, ordered)
+
+    def _configured(
+        self,
+        phase: int,
+        ask: Callable[..., Iterable[Message]],
+        server_round: int,
+        arrays: ArrayRecord,
+        config: ConfigRecord,
+        grid: Grid,
+    ) -> list[Message]:
+        nodes = self._partitions.nodes(grid)
+        view = cast(Grid, View(grid, len(nodes)))
+        # What clients need to know to repeat what they do.
+        order = {"seed": self._seed, "round": server_round, "phase": phase, "run": self._run}
+        with self._seeded(server_round, phase, _CONFIGURE):
+            messages = ask(server_round, arrays, config, view)
+            return self._partitions.addressed(messages, nodes, order)
 
     def summary(self) -> None:
         """The strategy's own."""
@@ -133,11 +144,8 @@ class Repeatable(Strategy):
                 configuration of clients.
             ClientLostError: a client gave no result, as often as a round may be played.
         """
-        fresh = Progress(
-            Result(initial_arrays),
-            train_config or ConfigRecord(),
-            evaluate_config or ConfigRecord(),
-        )
+        train, evaluate = train_config or ConfigRecord(), evaluate_config or ConfigRecord()
+        fresh = Progress(Result(initial_arrays), train, evaluate)
         self.summary()
         progress = self._begun(fresh, evaluate_fn)
         while progress.round < num_rounds:
@@ -211,10 +219,6 @@ class Repeatable(Strategy):
 
     def _seeded(self, server_round: int, phase: int, step: int) -> AbstractContextManager[None]:
         return seeded(self._seed, 0, server_round, phase, step)
-
-    def _order(self, server_round: int, phase: int) -> dict[str, Any]:
-        """What clients need to know to repeat what they do."""
-        return {"seed": self._seed, "round": server_round, "phase": phase, "run": self._run}
 
 
 def _noted(history: dict[int, MetricRecord], server_round: int, found: MetricRecord | None) -> None:

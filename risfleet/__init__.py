@@ -22,12 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from conf import Config, ConfigError
-    from env import (
-        RISFleetParallelEnv,
-        SingleRobotEnv,
-        register_channel_model,
-        register_reward,
-    )
+    from env import RISFleetParallelEnv, SingleRobotEnv, register_channel_model, register_reward
     from risfleet.evaluation import Evaluation, evaluate
     from risfleet.replays import Replay
     from risfleet.runs import Run, load
@@ -58,26 +53,16 @@ __all__ = [
     "train",
 ]
 
-_HOMES = {
-    "AccessPointPolicy": "training.policy",
-    "Config": "conf",
-    "ConfigError": "conf",
-    "Evaluation": "risfleet.evaluation",
-    "Policy": "training.policy",
-    "RISFleetParallelEnv": "env",
-    "Replay": "risfleet.replays",
-    "Run": "risfleet.runs",
-    "SingleRobotEnv": "env",
-    "SweepError": "risfleet.training",
-    "compose": "risfleet.training",
-    "evaluate": "risfleet.evaluation",
-    "load": "risfleet.runs",
-    "make_env": "risfleet.training",
-    "register_channel_model": "env",
-    "register_reward": "env",
-    "sweep": "risfleet.training",
-    "train": "risfleet.training",
+_NAMES = {
+    "conf": ("Config", "ConfigError"),
+    "env": ("RISFleetParallelEnv", "SingleRobotEnv", "register_channel_model", "register_reward"),
+    "risfleet.evaluation": ("Evaluation", "evaluate"),
+    "risfleet.replays": ("Replay",),
+    "risfleet.runs": ("Run", "load"),
+    "risfleet.training": ("SweepError", "compose", "make_env", "sweep", "train"),
+    "training.policy": ("AccessPointPolicy", "Policy"),
 }
+_HOMES = {name: home for home, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

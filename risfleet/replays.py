@@ -50,6 +50,5 @@ class Replay:
     def _repr_html_(self) -> str:
         """The page in a frame of its own."""
         frame = f'sandbox="allow-scripts" style="width:100%;height:{HEIGHT_PX}px;border:0"'
-        return (
-            f'<iframe title="{escape(self.title)}" {frame} srcdoc="{escape(self.html)}"></iframe>'
-        )
+        title, source = escape(self.title), escape(self.html)
+        return f'<iframe title="{title}" {frame} srcdoc="{source}"></iframe>'

@@ -16,13 +16,12 @@ from experiments.analysis import rooms
 from experiments.analysis.frozen import check_options
 from experiments.console.display import describe, summary_table
 from experiments.console.mishaps import in_words
-from experiments.runtimes.folders import near
 from experiments.viewer.replays import beside
 from risfleet.evaluation import Evaluation, evaluation_of
 from risfleet.replays import Replay
-from training.known_rooms import known_rooms
 from training.policy import AccessPointPolicy, Policy
 from training.recording.csv_log import read_columns
+from training.rooms import known_rooms
 from training.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -115,11 +114,7 @@ class Run:
         return self.policy.access_point
 
     def make_env(self, *, render_mode: str | None = None) -> RISFleetParallelEnv:
-        """The world that it was trained in, as a PettingZoo environment.
-
-        Args:
-            render_mode: see ``RISFleetParallelEnv``.
-        """
+        """The world that it was trained in, as a PettingZoo environment."""
         from env import RISFleetParallelEnv
 
         return RISFleetParallelEnv(self.config.env, seed=self.config.seed, render_mode=render_mode)
@@ -155,8 +150,8 @@ class Run:
         """Plays a building's frozen weights in all its rooms, as ``risfleet evaluate`` does.
 
         Args:
-            episodes: how many in each room; ``config.evaluation.episodes`` if None.
-            epsilon: probability of a random action.
+            episodes: as in ``evaluate``, in each room.
+            epsilon: as in ``evaluate``.
             seed: picks starts and exploration; each room's own if None.
             personalise: ticks for which each room learns on by itself, to be played once more.
 
@@ -203,10 +198,11 @@ class Run:
 
     def __repr__(self) -> str:
         """Its folder, and where it is if it has not ended."""
-        status = self._folder.read_progress()
+        status, here = self._folder.read_progress(), Path.cwd()
+        near = self.path.relative_to(here) if self.path.is_relative_to(here) else self.path
         going = status is not None and status["state"] != "done"
         figures = [" ".join(pair).strip() for pair in describe(status)] if status and going else []
-        return f"<Run {', '.join([str(near(self.path)), *figures])}>"
+        return f"<Run {', '.join([str(near), *figures])}>"
 
     def _repr_html_(self) -> str | None:
         """A table of what its final weights are worth; None before its end."""

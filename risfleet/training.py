@@ -39,7 +39,7 @@ def compose(overrides: Overrides = ()) -> Config:
     """The configuration that overrides describe, checked.
 
     Args:
-        overrides: a text, texts such as ``"env.robots=4"``, or keys with their values.
+        overrides: see ``train``.
 
     Raises:
         ConfigError: a wrong key, value or combination.
@@ -90,8 +90,7 @@ def train(overrides: Overrides = (), *, progress: bool | Reporter = True) -> Run
             It is a ``ValueError``, as are those of plug-ins.
         OSError: the machine, its disk or network failed; other errors name Flower's part in it.
     """
-    texts = override_texts(overrides)
-    config, folder, checkpoint = planned(texts)
+    config, folder, checkpoint = planned(override_texts(overrides))
     stop = train_run(config, folder, checkpoint, screen_of(progress))
     pass_on(stop.status)
     return Run(folder.absolute())
@@ -132,9 +131,8 @@ def sweep(
         if jobs == 1 and not planned_runs.launcher:
             outcome = train_in_turn(configs, screen, lambda error: None)
         else:
-            outcome = batch.train(
-                configs, planned_runs.folder, screen.console, planned_runs.launcher, jobs
-            )
+            place, launcher = planned_runs.folder, planned_runs.launcher
+            outcome = batch.train(configs, place, screen.console, launcher, jobs)
     pass_on(outcome.status)
     done = [Run(place) for place in map(folder_of, configs) if place in outcome.done]
     if outcome.failed:

@@ -50,9 +50,9 @@ def main(grid: Grid, context: Context) -> None:
 
 def _train(grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | None) -> None:
     """Deals the robots, or the rooms, to the federation's nodes and trains with them."""
+    run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
+    config = dataclasses.replace(config, run=run)
     if has_rooms(config):
-        run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
-        config = dataclasses.replace(config, run=run)
         try:
             wait_for_nodes(grid, flower_clients(config), config.runtime.start_timeout_s)
         except RoundError:
@@ -72,9 +72,8 @@ def _train(grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | 
     )
     try:
         nodes = _nodes(grid, config)
-        run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
         federation = dataclasses.replace(config.federation, clients=len(nodes))
-        config = dataclasses.replace(config, run=run, federation=federation)
+        config = dataclasses.replace(config, federation=federation)
         clients = Clients(config, grid, link, nodes, certificate)
         RecoveringTrainer(config, folder, link, clients).train(resumed)
     finally:
@@ -84,9 +83,8 @@ def _train(grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | 
 def _asked(given: list[str]) -> tuple[Config, Checkpoint | None]:
     """The run that is asked for, and where it goes on, if it does not begin.
 
-    It is given as Hydra overrides, as a whole configuration in YAML, or as ``resume=RUN``.
-
-    The runtime is Flower's, whatever ``config.yaml`` has as its default.
+    It is given as Hydra overrides, as a whole configuration in YAML, or as ``resume=RUN``. The
+    runtime is Flower's, whatever ``config.yaml`` has as its default.
     """
     resumed = None
     if resume.asked(given):

@@ -6,9 +6,11 @@ or on another that holds its rooms, and plays the round from their checkpoints t
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import time
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Set
+from functools import reduce
 from typing import Any
 
 from flwr.app import Message, MessageType
@@ -16,7 +18,7 @@ from flwr.serverapp import Grid
 
 from conf import Config, fingerprint, flower_clients, weight_shapes
 from lockstep.errors import one_line
-from server_app.nodes import POLL_S, RoundError, held_by
+from server_app.nodes import DIED, MOST_FAILURES, POLL_S, RoundError, held_by
 from training.building import BuildingRun
 from training.checkpoint import Checkpoint
 from training.partition import Block, partition_robots
@@ -28,22 +30,17 @@ from training.run_log import log_lines
 
 log = logging.getLogger(__name__)
 
-MOST_FAILURES = 5
-"""Messages to one client that may fail in a round before the run is given up."""
-SURVEY_S = 60.0
+LOOK_S = 1.0
+"""Between two looks whether a client's node is there."""
 PAUSE_S = 1.0
 """Between a round that all rooms have missed and the next try."""
 AWAY = "its Flower node is not there"
-DIED = "ActorDiedError"
-"""What Flower's reason for a missing reply holds where one of Ray's processes was killed."""
 
 
 class FlowerRooms:
     """The rooms of a building on Flower clients; implements ``training.rooms.RoomHost``.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir`` and a ``run.id``.
-        grid: Flower's grid.
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
     """
 
     forgets = True
@@ -61,10 +58,7 @@ class FlowerRooms:
 
     def costs(self) -> Costs:
         """See ``RoomHost.costs``."""
-        total = Costs()
-        for each in self._costs.values():
-            total = total.plus(each)
-        return total
+        return reduce(Costs.plus, self._costs.values(), Costs())
 
     def clients(self) -> list[dict[str, Any]]:
         """See ``RoomHost.clients``."""
@@ -107,56 +101,40 @@ class FlowerRooms:
         for block in self._rooms:
             own = [each for each in task.rooms if each.room.index in block]
             if own:
-                part = RoundTask(task.number, task.model, task.keep, own, task.played)
-                rounds.append(_ClientRound(self, block, part))
-        reports: dict[int, RoomReport] = {}
-        open_rounds = list(rounds)
-        while open_rounds:
-            self._deliver(open_rounds)
+                rounds.append(_ClientRound(self, block, dataclasses.replace(task, rooms=own)))
+        while open_rounds := [each for each in rounds if not each.done]:
+            waiting = {each.sent: each for each in open_rounds if each.sent}
+            for reply in self._grid.pull_messages(list(waiting)):
+                waiting[reply.metadata.reply_to_message_id].take(reply)
             for each in open_rounds:
                 each.tend()
-            open_rounds = [each for each in open_rounds if not each.done]
-            if open_rounds:
+            if not all(each.done for each in open_rounds):
                 time.sleep(POLL_S)
-        for each in rounds:
-            reports |= each.reports
         self._missed = {each.block: "" if each.reports else each.reason for each in rounds}
-        return reports
-
-    def _deliver(self, rounds: Sequence[_ClientRound]) -> None:
-        """Hands the replies that have come to those who wait for them."""
-        waiting = {each.sent: each for each in rounds if each.sent}
-        for reply in self._grid.pull_messages(list(waiting)):
-            waiting[reply.metadata.reply_to_message_id].take(reply)
+        return {room: report for each in rounds for room, report in each.reports.items()}
 
     def node_for(self, block: Block, played: Set[int]) -> int | None:
         """The node to ask for a client's rooms: its own while that is there, or one that is free.
 
-        Args:
-            block: the client's rooms.
-            played: the rooms of the building that have played; where these are this client's,
-                their checkpoints must be on the node, and where they are not, they must not, or
-                one client would take the place of another.
+        The checkpoints of its rooms that have played must be on the node; of a client none of
+        whose rooms has, no other's may be, or it would take that one's place.
         """
         online = set(self._grid.get_node_ids())
         if self._places.get(block) in online:
             return self._places[block]
         free = sorted(online - set(self._places.values()))
         if played and free and self._config.runtime.connection is not None:
-            held = held_by(self._grid, self._config, free, SURVEY_S)
-            own = played & set(block)
-            free = [node for node in free if own <= held[node]]
-            if not own:
-                free = [node for node in free if not held[node] & played] or self._spare(held)
-        if free:
-            self._places[block] = free[0]
-            return free[0]
-        return None
-
-    def _spare(self, held: Mapping[int, Set[int]]) -> list[int]:
-        """Nodes whose rooms all live elsewhere now."""
-        placed = {room for block in self._places for room in block}
-        return [node for node in sorted(held) if held[node] <= placed]
+            held = held_by(self._grid, self._config, free)
+            if own := played & set(block):
+                free = [node for node in free if own <= held[node]]
+            else:
+                elsewhere = {room for placed in self._places for room in placed}
+                fresh = [node for node in free if not held[node] & played]
+                free = fresh or [node for node in free if held[node] <= elsewhere]
+        if not free:
+            return None
+        self._places[block] = free[0]
+        return free[0]
 
     def send(self, node: int, task: RoundTask, block: Block) -> str:
         """Asks a client; returns the message's name, empty where Flower does not take it."""
@@ -237,7 +215,7 @@ class _ClientRound:
 
     def tend(self) -> None:
         """Asks the client if it is not asked, and looks once a second whether its node is there."""
-        if self.done or (self.sent and time.monotonic() - self._looked < 1.0):
+        if self.done or (self.sent and time.monotonic() - self._looked < LOOK_S):
             return
         self._looked = time.monotonic()
         if self.sent and not self._host.is_online(self.block):
@@ -279,13 +257,9 @@ class _ClientRound:
 def train_building(
     grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | None
 ) -> None:
-    """Trains a building with the clients of a federation.
+    """Trains a building with a federation's clients, from a checkpoint where there is one.
 
-    Args:
-        grid: Flower's grid.
-        config: the run's configuration, with an absolute ``run.dir`` and a ``run.id``.
-        folder: the run's folder.
-        resumed: the server's newest checkpoint; None begins the run.
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
     """
     with log_lines(config.run.id):
         BuildingRun(config, folder, resumed).train(FlowerRooms(config, grid))

@@ -67,12 +67,24 @@ def certify(
     identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
     issuer_identifier = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key())
     depth = None if hosts else 0
+    # A server's key signs handshakes, an authority's certificates.
+    usage = x509.KeyUsage(
+        digital_signature=bool(hosts),
+        key_cert_sign=not hosts,
+        crl_sign=not hosts,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
     builder = (
         x509.CertificateBuilder(authority, subject, key.public_key(), x509.random_serial_number())
         .not_valid_before(now - BACK_DATED)
         .not_valid_after(now + datetime.timedelta(days=days))
         .add_extension(x509.BasicConstraints(ca=not hosts, path_length=depth), critical=True)
-        .add_extension(_usage(signs=not hosts), critical=True)
+        .add_extension(usage, critical=True)
         .add_extension(identifier, critical=False)
         .add_extension(issuer_identifier, critical=False)
     )
@@ -86,11 +98,8 @@ def certify(
 def alternative_name(host: str) -> x509.GeneralName:
     """A host as a certificate names it.
 
-    Args:
-        host: an IP address or a DNS name.
-
     Raises:
-        ValueError: it is neither.
+        ValueError: it is neither an IP address nor a DNS name.
     """
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
@@ -107,23 +116,5 @@ def certificate_pem(certificate: x509.Certificate) -> str:
 
 def key_pem(key: ec.EllipticCurvePrivateKey) -> str:
     """A private key as PEM (PKCS 8), not encrypted."""
-    return key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
-    ).decode()
-
-
-def _usage(*, signs: bool) -> x509.KeyUsage:
-    """What a key is for: an authority's signs certificates, a server's signs handshakes."""
-    return x509.KeyUsage(
-        digital_signature=not signs,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=signs,
-        crl_sign=signs,
-        encipher_only=False,
-        decipher_only=False,
-    )
+    pem, pkcs8 = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    return key.private_bytes(pem, pkcs8, serialization.NoEncryption()).decode()

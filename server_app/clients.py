@@ -18,30 +18,20 @@ from flwr.serverapp import Grid
 from conf import Config, robot_network, waits_for_the_lost
 from lockstep import LinkServer, Payload, RobotLost
 from lockstep.errors import named, one_line
-from server_app.nodes import RoundError, held_by, placed
-from server_app.round_messages import LinkAddress, RoundStart, read_reply, train_message
+from server_app.nodes import DIED, MOST_FAILURES, RoundError, held_by, placed
+from server_app.round_messages import RoundStart, read_reply, train_message
 from training.partition import Block, partition_robots, step_layout
 
 log = logging.getLogger(__name__)
 
 TOKEN_BYTES = 32
 TEND_S = 1.0
-SURVEY_S = 60.0
-DIED = "ActorDiedError"
-"""What Flower's reason for a missing reply holds where one of Ray's processes was killed."""
-MOST_FAILURES = 5
-"""Messages to one client that may fail in a row before the run is given up."""
 
 
 class Clients:
-    """All clients of a run.
+    """All clients of a run, one on each node; robots are dealt to them in blocks.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir``.
-        grid: Flower's grid.
-        link: the listening end of the link.
-        nodes: the identity of each client's node; robots are dealt to them in blocks.
-        certificate: of the link, PEM; empty without TLS.
+    The link's certificate is PEM, empty without TLS.
 
     Attributes:
         places: the node of each block.
@@ -91,14 +81,14 @@ class Clients:
         self._send([block for block in self.places if block not in self._pending])
 
     def holders(self) -> dict[Block, int]:
-        """The node of each block by the states that nodes hold, where each has its own.
+        """The node of each block, where nodes keep states of their own; else none.
 
         Raises:
             RoundError: some robots' state is on no node.
         """
         if self._config.runtime.connection is None:
             return {}
-        self._held |= held_by(self._grid, self._config, sorted(self._grid.get_node_ids()), SURVEY_S)
+        self._held |= held_by(self._grid, self._config, sorted(self._grid.get_node_ids()))
         return placed(list(self.places), self._held)
 
     def reopen(self, opening: RoundStart) -> None:
@@ -153,11 +143,11 @@ class Clients:
             RoundError: one failed, where the run does not wait.
         """
         where = f"at the end of round {self.round}"
-        if not self._waits:
-            self.collect()
-        else:
+        if self._waits:
             for block, reason in self._collect().items():
                 raise RobotLost(block, where, reason)
+        else:
+            self.collect()
         waiting = [block for block in self.places if block not in self.replies]
         if waiting and self._waits:
             online = set(self._grid.get_node_ids())
@@ -181,8 +171,7 @@ class Clients:
             rows |= dict(zip(block, weights, strict=True))
             self.flower_bytes[block] += weights.nbytes
             self.cpu_s[block] += spent_s
-        uploads: Payload = np.stack([rows[robot] for robot in range(self._config.env.robots)])
-        return uploads
+        return np.stack([rows[robot] for robot in range(self._config.env.robots)])
 
     # --- Messages ---------------------------------------------------------------------------------
 
@@ -190,9 +179,9 @@ class Clients:
         self._tokens |= {robot: secrets.token_urlsafe(TOKEN_BYTES) for robot in robots}
 
     def _send(self, blocks: list[Block]) -> None:
-        """Sends a train message to the client of each block.
+        """Sends train messages; one that Flower does not take is sent again, if the run waits.
 
-        Flower does not take one for a node that has gone: where the run waits, it is sent again.
+        It takes none for a node that has gone.
         """
         for block in blocks:
             self.replies.pop(block, None)  # to a message of a round that was given up
@@ -208,9 +197,10 @@ class Clients:
         if self._opening.model is not None:
             self.flower_bytes[block] += self._opening.model.nbytes
         tokens = {robot: self._tokens[robot] for robot in block}
-        link = LinkAddress(*self._link.address, self._certificate)
-        node = self.places[block]
-        return train_message(self._config, self._opening, self.round, node, tokens, link)
+        start, node, where = self._opening, self.places[block], self._link.address
+        return train_message(
+            self._config, start, self.round, node, tokens, where, self._certificate
+        )
 
     def _collect(self) -> dict[Block, str]:
         """Takes the replies that have come; returns why clients ended without one."""
@@ -237,9 +227,8 @@ class Clients:
         A SuperNode that is started again with the same key is the same node to Flower, but knows
         nothing of the message.
         """
-        late = (
-            time.monotonic() - self._sent_at.get(block, 0.0) > self._config.runtime.start_timeout_s
-        )
+        silent_s = time.monotonic() - self._sent_at.get(block, 0.0)
+        late = silent_s > self._config.runtime.start_timeout_s
         if self.places[block] not in online or late:
             self._pending.pop(block, None)
 
@@ -258,7 +247,7 @@ class Clients:
         if self._config.runtime.connection is None or not self._opening.resumed:
             return True  # all nodes share one folder of checkpoints, or there are none
         if node not in self._held:
-            self._held |= held_by(self._grid, self._config, [node], SURVEY_S)
+            self._held |= held_by(self._grid, self._config, [node])
         return set(block) <= self._held[node]
 
     def _restart(self, block: Block, node: int) -> None:

@@ -1,4 +1,4 @@
-"""Which Flower node holds which robots."""
+"""Which Flower node holds which robots, or rooms."""
 
 from __future__ import annotations
 
@@ -12,6 +12,12 @@ from conf import Config, to_yaml
 from training.partition import Block
 
 POLL_S = 0.05
+SURVEY_S = 60.0
+"""The longest wait for what nodes say they hold."""
+MOST_FAILURES = 5
+"""Messages to one client that may fail, in a round or in a row, before the run is given up."""
+DIED = "ActorDiedError"
+"""What Flower's reason for a missing reply holds where one of Ray's processes was killed."""
 
 
 class RoundError(RuntimeError):
@@ -19,10 +25,7 @@ class RoundError(RuntimeError):
 
 
 def wait_for_nodes(grid: Grid, count: int, deadline_s: float) -> list[int]:
-    """Waits until the federation has enough nodes.
-
-    Returns:
-        The identities of ``count`` of them, in ascending order.
+    """Waits for the federation's nodes; returns the first ``count`` identities, ascending.
 
     Raises:
         RoundError: they did not come in time.
@@ -39,39 +42,25 @@ def wait_for_nodes(grid: Grid, count: int, deadline_s: float) -> list[int]:
         time.sleep(POLL_S)
 
 
-def held_by(
-    grid: Grid, config: Config, nodes: Sequence[int], deadline_s: float
-) -> dict[int, frozenset[int]]:
-    """Asks nodes which robots' state they hold.
-
-    Args:
-        grid: Flower's grid.
-        config: the run's configuration.
-        nodes: whom to ask.
-        deadline_s: the longest wait, in s.
-
-    Returns:
-        The robots of each node; those that did not answer hold none.
-    """
-    asked = [_question(config, node) for node in nodes]
+def held_by(grid: Grid, config: Config, nodes: Sequence[int]) -> dict[int, frozenset[int]]:
+    """The robots, or rooms, whose state each node holds; none of one that does not answer."""
+    order = ConfigRecord({"config": to_yaml(config)})
+    asked = [
+        Message(RecordDict({"order": order}), message_type=MessageType.QUERY, dst_node_id=node)
+        for node in nodes
+    ]
     pending = dict(zip(grid.push_messages(asked), nodes, strict=True))
     held: dict[int, frozenset[int]] = dict.fromkeys(nodes, frozenset())
-    deadline = time.monotonic() + deadline_s
+    deadline = time.monotonic() + SURVEY_S
     while pending and time.monotonic() < deadline:
         for reply in grid.pull_messages(list(pending)):
             node = pending.pop(reply.metadata.reply_to_message_id)
             if not reply.has_error():
-                robots = reply.content.config_records["held"]["robots"]
-                held[node] = frozenset(int(robot) for robot in robots)  # type: ignore[union-attr]
-        time.sleep(POLL_S)
+                found = reply.content.config_records["held"]["robots"]
+                held[node] = frozenset(int(each) for each in found)  # type: ignore[union-attr]
+        if pending:
+            time.sleep(POLL_S)
     return held
-
-
-def _question(config: Config, node: int) -> Message:
-    order = ConfigRecord({"config": to_yaml(config)})
-    return Message(
-        content=RecordDict({"order": order}), message_type=MessageType.QUERY, dst_node_id=node
-    )
 
 
 def placed(blocks: Sequence[Block], held: Mapping[int, Iterable[int]]) -> dict[Block, int]:
@@ -80,9 +69,6 @@ def placed(blocks: Sequence[Block], held: Mapping[int, Iterable[int]]) -> dict[B
     Args:
         blocks: the robots of each client.
         held: the robots whose state each node holds.
-
-    Returns:
-        The node of each block.
 
     Raises:
         RoundError: some block's robots are on no node that is left for it.

@@ -30,7 +30,6 @@ log = logging.getLogger(__name__)
 
 MOST_IN_VAIN = 5
 """Losses in a row without a new checkpoint before a run is given up."""
-
 EARLY = 2
 """Checkpoints of the server's up to which a robot may just not have written its first."""
 
@@ -38,28 +37,20 @@ EARLY = 2
 class RecoveringTrainer:
     """Trains with the clients of a federation, through losses of them.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir`` and a ``run.id``.
-        folder: the run's folder.
-        link: the listening end of the link.
-        clients: who holds the robots.
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
     """
 
     def __init__(
         self, config: Config, folder: RunFolder, link: LinkServer, clients: Clients
     ) -> None:
-        self._config, self._folder, self._clients = config, folder, clients
-        self._link = link
+        self._config, self._folder, self._link, self._clients = config, folder, link, clients
         self._fleet = FlowerFleet(config, link, clients, self._on_round)
         self._session: TrainingRun | None = None
         self._losses: list[dict[str, Any]] = []
         self._in_vain = 0
 
     def train(self, resumed: Checkpoint | None) -> None:
-        """Trains to the end.
-
-        Args:
-            resumed: the server's newest checkpoint; None begins the run.
+        """Trains to the end, from the server's newest checkpoint where there is one.
 
         Raises:
             LinkError: a robot was lost, and is not waited for or did not come back; or it failed.

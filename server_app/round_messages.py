@@ -29,47 +29,28 @@ class RoundStart:
     resumed: bool = False
 
 
-@dataclass(frozen=True)
-class LinkAddress:
-    """Where the link listens.
-
-    Attributes:
-        host: as the robots reach it.
-        port: of TCP.
-        certificate: of its server, PEM; empty without TLS.
-    """
-
-    host: str
-    port: int
-    certificate: str = ""
-
-
 def train_message(
     config: Config,
     start: RoundStart,
     number: int,
     node: int,
     tokens: Mapping[int, str],
-    link: LinkAddress,
+    address: tuple[str, int],
+    certificate: str,
 ) -> Message:
-    """What a client is asked in a round.
+    """What the client on a node is asked in the round of this number.
 
-    Args:
-        config: the run's configuration.
-        start: where the round begins.
-        number: the round's.
-        node: the client's.
-        tokens: a secret for each of its robots, for this round.
-        link: where they join the link.
+    Each of its robots has a token, its secret for this round, and joins the link at its host and
+    port; the link's certificate is PEM, empty without TLS.
     """
     order = ConfigRecord(
         {
             "config": to_yaml(config),
             "robots": list(tokens),
             "tokens": list(tokens.values()),
-            "host": link.host,
-            "port": link.port,
-            "certificate": link.certificate,
+            "host": address[0],
+            "port": address[1],
+            "certificate": certificate,
             "round": number,
             "window": start.window,
         }
@@ -86,17 +67,7 @@ def train_message(
 def read_reply(
     reply: Message, block: Block, parameters: int, number: int, layout: Layout
 ) -> tuple[Payload, float]:
-    """What a client replies at the end of a round.
-
-    Args:
-        reply: its message.
-        block: its robots.
-        parameters: P.
-        number: the round's.
-        layout: of what robots send.
-
-    Returns:
-        The robots' weights, and the client's processor time in s.
+    """A client's reply at the end of a round: its robots' weights, and its processor time in s.
 
     Raises:
         RoundError: the weights are of another type or shape.

@@ -29,11 +29,7 @@ log = logging.getLogger(__name__)
 class FlowerFleet:
     """The robots of a run that Flower clients hold; implements ``lockstep.Fleet``.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir``.
-        link: the listening end of the link.
-        clients: who holds them.
-        on_round: callback with the number of each round that opens.
+    ``on_round`` is called with the number of each round that opens.
     """
 
     def __init__(
@@ -122,14 +118,11 @@ class FlowerFleet:
 
     # --- Rounds -----------------------------------------------------------------------------------
 
-    def assemble(self, places: Mapping[Block, int] | None = None) -> list[int]:
+    def assemble(self, places: Mapping[Block, int]) -> list[int]:
         """Brings every robot to the link, wherever it was, for ``begin`` to send it somewhere.
 
         Clients that are connected stay. Those that are not may come back by themselves; one that
-        has ended is started anew.
-
-        Args:
-            places: the node of each block, where the robots' states say so.
+        has ended is started anew, on the node that ``places`` has for its block.
 
         Returns:
             The windows, ascending, of which all robots have a checkpoint.
@@ -138,12 +131,13 @@ class FlowerFleet:
             LinkTimeout: a robot did not come within ``federation.loss_timeout_s``.
             RoundError: its client fails again and again.
         """
-        self._clients.places |= places or {}
+        self._clients.places |= places
         deadline = time.monotonic() + self._config.federation.loss_timeout_s
-        if not self._open or self._farewell:
-            self._announce(RoundStart(0, resumed=True))
+        start = RoundStart(0, resumed=True)
+        if self._open and not self._farewell:
+            self._clients.reopen(start)
         else:
-            self._clients.reopen(RoundStart(0, resumed=True))
+            self._announce(start)
         while True:
             try:
                 self._link.wait_connected(deadline - time.monotonic(), self._clients.supervise)

@@ -16,16 +16,17 @@ def write_whole(path: Path, content: bytes) -> None:
     """
     _put(path, path.with_suffix(f".{os.getpid()}.writing"), content, durable=True)
     with naming(path):
-        _flush_folder(path.parent)
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
     """Writes a text file so that a reader sees either the old or the new one.
 
-    Args:
-        path: the file.
-        text: all of it.
-        durable: whether it must outlast a crash of the machine.
+    If it is to be durable, it outlasts a crash of the machine.
 
     Raises:
         OSError: as ``write_whole``.
@@ -58,11 +59,3 @@ def naming(path: Path) -> Iterator[None]:
         if error.errno is None or error.filename is not None:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
-
-
-def _flush_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -34,23 +34,12 @@ class CheckpointError(Exception):
 
 
 def digest(weights: NDArray[np.floating]) -> str:
-    """SHA-256 of weights as little-endian float32 in C order.
-
-    Args:
-        weights: any shape.
-
-    Returns:
-        64 hexadecimal digits.
-    """
+    """SHA-256, 64 hexadecimal digits, of weights of any shape as little-endian float32, C order."""
     return hashlib.sha256(np.ascontiguousarray(weights, "<f4").tobytes()).hexdigest()
 
 
 def arrays_digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:
-    """SHA-256 over every array's name, type, shape and bytes, whatever their order.
-
-    Returns:
-        64 hexadecimal digits.
-    """
+    """SHA-256, 64 hexadecimal digits, over names, types, shapes and bytes, in whatever order."""
     return _sealed(hashlib.sha256(), arrays)
 
 
@@ -127,11 +116,7 @@ class Writer:
         self._pending.append(self._pool.submit(save_checkpoint, folder, step, arrays, meta))
 
     def wait(self) -> None:
-        """Returns once all is on disk.
-
-        Raises:
-            OSError: a checkpoint could not be written.
-        """
+        """Returns once all is on disk; an OSError where a checkpoint cannot be written."""
         pending, self._pending = self._pending, []
         for write in pending:
             write.result()

@@ -34,11 +34,7 @@ def robot_windows(state: Path, robot: int) -> dict[int, Path]:
 
 
 def owner(run: str | None) -> dict[str, Json]:
-    """What a checkpoint's metadata say of the run that it belongs to.
-
-    Args:
-        run: its identity; None where it has none.
-    """
+    """What a checkpoint's metadata say of its run's identity, which may be None."""
     return {} if run is None else {"run": run}
 
 

@@ -11,10 +11,7 @@ _WORD = 1 << 64
 
 
 def generator_state(generator: np.random.Generator) -> NDArray[np.uint64]:
-    """Where a PCG64 generator stands.
-
-    Args:
-        generator: on a PCG64 bit generator, NumPy's default.
+    """Where a generator on PCG64, NumPy's default, stands.
 
     Returns:
         State and increment (high and low words), and its spare 32 bits, shape (6,).
@@ -28,12 +25,7 @@ def generator_state(generator: np.random.Generator) -> NDArray[np.uint64]:
 
 
 def restore_generator(generator: np.random.Generator, state: NDArray[np.generic]) -> None:
-    """Puts a PCG64 generator where `generator_state` found one.
-
-    Args:
-        generator: to be changed.
-        state: shape (6,).
-    """
+    """Puts a PCG64 generator where `generator_state` found one, by its array of shape (6,)."""
     words = [int(word) for word in state.tolist()]
     generator.bit_generator.state = {
         "bit_generator": "PCG64",

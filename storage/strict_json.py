@@ -9,13 +9,12 @@ from typing import Any
 
 def to_json(values: dict[str, Any]) -> str:
     """Values as strict JSON: what is not a finite number becomes null."""
-    return json.dumps(finite(values), indent=2) + "\n"
+    return json.dumps(_finite(values), indent=2) + "\n"
 
 
-def finite(value: Any) -> Any:
-    """Values as JSON has them: what is not a finite number becomes None."""
+def _finite(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
+        return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -82,6 +82,14 @@ def _one_at_a_time(
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _no_machine_crashes() -> Iterator[None]:
+    """Files need not outlast one, and to wait for the disk takes most of a tiny run's time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
 def changed(config: Any, changes: Mapping[str, Any]) -> Any:
     """A copy of a configuration with values set by their dotted keys."""
     for key, value in changes.items():

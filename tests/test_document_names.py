@@ -14,6 +14,7 @@ import yaml  # type: ignore[import-untyped]
 
 from conf import Config
 from conf.commented import commented_yaml
+from conf.removed_keys import REMOVED
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -30,7 +31,7 @@ THEIRS = {
     "conf/strategy/fedtrimmed.yaml",
 }
 # Keys that results were measured with and that are gone.
-GONE = {"agent.factored"}
+GONE = set(REMOVED) | {"agent.priority.alpha"}
 # Groups of entry points, for plug-ins.
 GROUPS = {
     "risfleet.rewards", "risfleet.channel_models", "risfleet.strategies",

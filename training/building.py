@@ -7,41 +7,28 @@ across rooms every ``rooms.every`` such windows, which is a round.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent import single_threaded
-from conf import Config, ap_network, fingerprint, robot_network, taking_part
+from conf import Config, ap_network, robot_network, taking_part
 from conf.rooms import Room
 from env.seeding import Stream, stream
-from storage.checkpoint_files import Writer, digest
-from storage.checkpoint_layout import owner
-from training.checkpoint import Checkpoint, flat, part, save_server
-from training.known_rooms import known_rooms
-from training.recording.costs import Costs
+from storage.checkpoint_files import digest
+from training.checkpoint import Checkpoint, flat, part
 from training.recording.progress import Progress
-from training.recording.summary import summarise
+from training.recording.summary import FINAL_EPSILON, Accounts
 from training.room_evaluation import RoomScore, RoomsEvaluator, overall, score
 from training.room_recording import BuildingRecorder
-from training.rooms import RoomHost, RoomReport, RoomTask, RoundTask, Weights
+from training.rooms import RoomHost, RoomReport, RoomTask, RoundTask, Weights, known_rooms
 from training.run_folder import RunFolder
-
-FINAL_EPSILON = 0.05
 
 
 class BuildingRun:
-    """One training run of a building.
-
-    Args:
-        config: the run's configuration.
-        folder: the run's folder.
-        resumed: where the run goes on, if it does not begin.
-    """
+    """One training run of a building; ``resumed`` is where it goes on, if it does not begin."""
 
     def __init__(
         self, config: Config, folder: RunFolder, resumed: Checkpoint | None = None
@@ -50,55 +37,45 @@ class BuildingRun:
 
         single_threaded()
         self._config, self._folder = config, folder
-        spent = {"wall_s": 0.0, "cpu_s": 0.0} if resumed is None else resumed.meta["spent"]
-        self._began = time.perf_counter() - spent["wall_s"]
-        self._cpu_before = time.process_time() - spent["cpu_s"]
-        self._costs_before = Costs() if resumed is None else Costs(**resumed.meta["costs"])
-        self._host: RoomHost | None = None
+        self._accounts = Accounts(config, folder, resumed)
         folder.path.mkdir(parents=True, exist_ok=True)
         rooms = known_rooms(config, folder)
         self.rooms = [room for room in rooms if not room.held_out]
         self._held_out = [room for room in rooms if room.held_out]
         self._evaluator = RoomsEvaluator(config, rooms)
         marks = None if resumed is None else resumed.meta["marks"]
-        self.recorder = BuildingRecorder(config, folder, self._evaluator, self._cpu_s, marks)
-        self._writer = Writer()
-        count = len(self.rooms)
-        self.progress = Progress()
+        self.recorder = BuildingRecorder(
+            config, folder, self._evaluator, self._accounts.cpu_s, marks
+        )
+        count, self.progress = len(self.rooms), Progress()
         self._model = robot_network(rooms[0].config(config)).initial_pair(
             stream(config.seed, Stream.WEIGHTS, 0)
         )
         self._aps: dict[int, Weights] = {}
-        self._played = np.zeros(count, np.int64)
-        self._ticks = np.zeros(count, np.int64)
-        self._episodes = np.zeros(count, np.int64)
+        self._played, self._ticks, self._episodes = np.zeros((3, count), np.int64)
 
-        def across() -> Any:
-            return build_aggregator(config.rooms.strategy, count, who="room", partial=True)
-
-        self._strategies = {"robots": across(), "ap": across()}
+        self._strategies: dict[str, Any] = {
+            name: build_aggregator(config.rooms.strategy, count, who="room", partial=True)
+            for name in ("robots", "ap")
+        }
         self._shares_ap = config.rooms.access_points == "mean" and config.scheme.phase == "learned"
         if resumed is not None:
-            self._restore(resumed.arrays)
+            self._restore(resumed)
 
     def train(self, host: RoomHost) -> dict[str, Any]:
         """Trains until the end of the round after the last tick, or as many episodes a room.
 
-        Args:
-            host: where the rooms live.
-
-        Returns:
-            What ``summary.json`` holds.
+        Takes where the rooms live; returns what ``summary.json`` holds.
         """
-        self._host = host
-        recorder = self.recorder
+        recorder, writer = self.recorder, self._accounts.writer
+        self._accounts.added = host.costs
         recorder.clients = host.clients
         recorder.on_start()
         try:
             stopped = False
-            while not (stopped or self._is_over()):
+            while not (stopped or self.progress.reaches(self._config.train)):
                 stopped = self._play_round(host)
-            self._writer.wait()
+            writer.wait()
             trained_s = recorder.end_training()
             recorder.report("finishing", self.progress)
             summary = self._finish(trained_s, stopped=stopped)
@@ -106,7 +83,7 @@ class BuildingRun:
             recorder.report("done", self.progress)
         finally:
             recorder.close()
-            self._writer.close()
+            writer.close()
         return summary
 
     def _play_round(self, host: RoomHost) -> bool:
@@ -122,15 +99,18 @@ class BuildingRun:
         self.progress.tick += config.rooms.every * config.federation.every
         self.progress.window += config.rooms.every
         for index in came:
-            self._take(index, reports[index], number)
+            self._played[index], self._ticks[index] = number, reports[index].ticks
+            self._episodes[index] += len(reports[index].episodes)
+            if not self._shares_ap:
+                self._aps[index] = reports[index].ap
         self.progress.episodes = int(self._episodes.sum()) // len(self.rooms)
         self.recorder.on_reports(self.progress, reports, missing)
         if came:
             self._share(number, [reports[index] for index in came])
         self.recorder.on_round(self.progress, self._model[0], self.ap_of)
         stopped = self._folder.stop_file.exists()
-        due = host.forgets or self._is_due(number) or stopped or self._is_over()
-        if config.state.every is not None and due:
+        over = stopped or self.progress.reaches(config.train)
+        if config.state.every is not None and (host.forgets or over or self._is_due(number)):
             host.keep()
             self._checkpoint()
         return stopped
@@ -158,13 +138,6 @@ class BuildingRun:
             stream(self._config.seed, Stream.WEIGHTS, 1)
         )
 
-    def _take(self, index: int, report: RoomReport, number: int) -> None:
-        """Notes how far a room has come, and its access point's network if that is its own."""
-        self._played[index], self._ticks[index] = number, report.ticks
-        self._episodes[index] += len(report.episodes)
-        if not self._shares_ap:
-            self._aps[index] = report.ap
-
     def _share(self, number: int, reports: Sequence[RoomReport]) -> None:
         """Averages across the rooms that have come, in the order of their indices."""
         uploads = np.stack([report.model for report in reports])
@@ -180,8 +153,7 @@ class BuildingRun:
         With networks of their own, access points of rooms that have not played yet, and of those
         that are held out, have the one that all start from.
         """
-        online: Weights = self._ap_pair(room)[0]
-        return online
+        return np.asarray(self._ap_pair(room)[0])
 
     def _ap_pair(self, room: Room) -> Weights:
         """As ``ap_of``, online and target, shape (2, P_AP)."""
@@ -192,27 +164,15 @@ class BuildingRun:
 
     # --- Where it ends, and what it keeps ---------------------------------------------------------
 
-    def _is_over(self) -> bool:
-        train = self._config.train
-        late = train.max_ticks is not None and self.progress.tick >= train.max_ticks
-        return late or self.progress.episodes >= train.episodes
-
     def _is_due(self, number: int) -> bool:
         """Whether a checkpoint is due in a round: its windows pass a multiple of ``every``."""
         every, windows = self._config.state.every, self._config.rooms.every
         return every is not None and number * windows // every > (number - 1) * windows // every
 
-    def _cpu_s(self) -> float:
-        return time.process_time() - self._cpu_before + self._costs().client_cpu_s
-
-    def _costs(self) -> Costs:
-        return self._costs_before.plus(Costs() if self._host is None else self._host.costs())
-
     def _checkpoint(self) -> None:
         """Writes the server's checkpoint of a round; those of all rooms are there."""
-        counters = [self.progress.tick, self.progress.window, self.progress.episodes]
         run = {
-            "progress": np.array(counters),
+            "progress": np.array(astuple(self.progress)),
             "model": self._model,
             "played": self._played,
             "ticks": self._ticks,
@@ -220,26 +180,14 @@ class BuildingRun:
         }
         aps = {str(index): ap for index, ap in self._aps.items()}
         strategies = {f"strategy-{name}": s.state() for name, s in self._strategies.items()}
-        meta = {
-            **owner(self._config.run.id),
-            "spent": {
-                "wall_s": time.perf_counter() - self._began,
-                "cpu_s": time.process_time() - self._cpu_before,
-            },
-            "costs": asdict(self._costs()),
-            "marks": self.recorder.marks(),
-            "fingerprint": fingerprint(self._config.env),
-            "losses": [],
-        }
         arrays = flat({"run": run, "aps": aps, **strategies})
         copies = {name: np.array(array) for name, array in arrays.items()}
-        save_server(self._writer, self._folder.state, self.progress.window, copies, meta)
-        self._writer.wait()  # or rooms could be ahead of it by more than one
-        self.recorder.checkpoint = self.progress.window
+        self._accounts.checkpoint(self.progress.window, copies, self.recorder)
+        self._accounts.writer.wait()  # or rooms could be ahead of it by more than one
 
-    def _restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def _restore(self, resumed: Checkpoint) -> None:
+        arrays, self.progress = resumed.arrays, resumed.progress
         run = part(arrays, "run")
-        self.progress = Progress(*(int(count) for count in run["progress"]))
         self._model = run["model"]
         self._played, self._ticks, self._episodes = (
             run[name].copy() for name in ("played", "ticks", "episodes")
@@ -267,28 +215,16 @@ class BuildingRun:
             "trained_in": [each for each in scores if not each.room.held_out],
             "held_out": [each for each in scores if each.room.held_out],
         }
-        common = summarise(
-            config,
-            self.recorder,
-            self.progress,
-            overall(kinds["trained_in"]),
-            digests,
-            self._costs(),
-            trained_s,
+        scored = overall(kinds["trained_in"])
+        summary = self._accounts.summary(
+            self.recorder, self.progress, scored, digests, trained_s, stopped=stopped
         )
-        summary = common | {
-            "stopped_early": stopped,
-            "wall_s": time.perf_counter() - self._began,
-            "cpu_s": self._cpu_s(),
-            "clients": self.recorder.clients(),
-            "losses": [],
-            "rooms": {
-                "count": len(self.rooms),
-                "robots": sum(room.config(config).env.robots for room in self.rooms),
-                "ticks": [int(ticks) for ticks in self._ticks],
-                "episodes": [int(episodes) for episodes in self._episodes],
-                **{kind: overall(some)[1] for kind, some in kinds.items() if some},
-            },
+        summary["rooms"] = {
+            "count": len(self.rooms),
+            "robots": sum(room.config(config).env.robots for room in self.rooms),
+            "ticks": self._ticks.tolist(),
+            "episodes": self._episodes.tolist(),
+            **{kind: overall(some)[1] for kind, some in kinds.items() if some},
         }
         folder.write_summary(summary)
         if config.run.figures:

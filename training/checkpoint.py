@@ -26,6 +26,7 @@ from storage.checkpoint_layout import (
     room_owner,
     server_folder,
 )
+from training.recording.progress import Progress
 
 log = logging.getLogger(__name__)
 State = Mapping[str, NDArray[Any]]
@@ -46,6 +47,11 @@ class Checkpoint:
     arrays: State
     meta: dict[str, Any]
     passed_over: tuple[str, ...] = ()
+
+    @property
+    def progress(self) -> Progress:
+        """How far the run had come."""
+        return Progress(*(int(count) for count in self.arrays["run/progress"]))
 
     @property
     def model(self) -> NDArray[np.float32] | None:
@@ -96,11 +102,7 @@ def latest(state: Path, robots: int, run: str | None = None, *, rooms: bool = Fa
 
 
 def _check_rooms(state: Path, played: NDArray[Any], run: str | None) -> None:
-    """Reads the checkpoint of the round that each room has last played.
-
-    Raises:
-        CheckpointError: one is missing or damaged.
-    """
+    """Reads the checkpoint of the round that each room has last played."""
     for index, number in enumerate(played.tolist()):
         if number:
             name = room_name(index)
@@ -110,10 +112,7 @@ def _check_rooms(state: Path, played: NDArray[Any], run: str | None) -> None:
 def newest(state: Path, windows: Iterable[int], run: str | None = None) -> Checkpoint | None:
     """The newest of the server's checkpoints of these windows that is whole, if one is.
 
-    Args:
-        state: the run's folder of checkpoints.
-        windows: those that may be taken.
-        run: the run's identity; None takes any.
+    ``state`` and ``run`` as in ``latest``.
     """
     for window in sorted(windows, reverse=True):
         try:

@@ -13,15 +13,12 @@ from conf import Config, flower_clients, robot_network
 from lockstep.wire_format import actions_size, step_size
 from training.aggregation.gossip import mean_degree
 from training.exchange.packing import NUMBER, payload_bytes
-from training.exchange.selection import asked_robots
+from training.exchange.reception import asked_robots
 from training.partition import partition_robots, step_layout
 
 
 def per_tick(config: Config) -> dict[str, float]:
     """Bytes that all K robots together send and receive in a tick, by who learns and how.
-
-    Args:
-        config: of a run.
 
     Returns:
         By name, all but the last in bytes:
@@ -45,7 +42,8 @@ def per_tick(config: Config) -> dict[str, float]:
     """
     every, robots = config.federation.every, config.env.robots
     weights = _weights(config)
-    transitions = config.train.worlds * robots * NUMBER * _numbers(config)
+    numbers = 2 * robot_network(config).inputs + 3  # two observations, action, reward, terminal
+    transitions = config.train.worlds * robots * NUMBER * numbers
     lockstep = _lockstep(config)
     return {
         "weights": weights / every,
@@ -82,20 +80,12 @@ def waiting(clients: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _weights(config: Config) -> float:
-    """Bytes of a window's weights: up and down, only up without a mean, or to neighbours.
-
-    What stays a robot's own need not be sent.
-    """
+    """Bytes of a window's weights: up and down, only up without a mean, or to neighbours."""
     up, down = payload_bytes(config)
     robots, name = config.env.robots, config.strategy.name
     if name == "gossip":
         return robots * mean_degree(config.strategy, robots) * up
     return asked_robots(config) * up + (0 if name == "none" else robots * down)
-
-
-def _numbers(config: Config) -> int:
-    """Numbers of a robot's transition: two observations, action, reward, terminal flag."""
-    return 2 * robot_network(config).inputs + 3
 
 
 def _lockstep(config: Config) -> int:

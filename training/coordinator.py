@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import astuple
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from env.world import StepResult, World
 from lockstep import Expect, Fleet
 from storage.generators import generator_state, restore_generator
 from training.checkpoint import flat, part
-from training.controllers.access_point import RisController
+from training.controllers.service import RisController
 from training.exchange.facts import WindowFacts, plain
 from training.partition import step_layout
 from training.recording.progress import Observer, Progress
@@ -56,12 +56,11 @@ class Coordinator:
         keep: Callable[[bool], None] = lambda final: None,
     ) -> None:
         self._config, self._records = config, StepRecords(step_layout(config), world)
-        self._actions = robot_actions(config)
         self._world, self._ap, self._fleet = world, ap, fleet
-        self._federation = federation
-        self._taken = np.zeros((world.robots, self._actions.count), np.int64)
-        self._observer = observer
+        self._federation, self._observer = federation, observer
         self._stop, self._keep = stop, keep
+        self._actions = robot_actions(config)
+        self._taken = np.zeros((world.robots, self._actions.count), np.int64)
         self._model: NDArray[np.float32] | None = None
         self._shared: NDArray[np.float32] = np.zeros((0, 2, 0), np.float32)
         self.progress = Progress()
@@ -104,11 +103,8 @@ class Coordinator:
     def play(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
         """Plays windows until the run is over; may be called again to go on from there.
 
-        Args:
-            model: what all robots hold, shape (2, P), or each its own, (K, 2, P).
-
-        Returns:
-            The robots' weights after the last aggregation, shape (K, 2, P).
+        Takes what all robots hold, shape (2, P), or each its own, (K, 2, P); returns the weights
+        after the last aggregation, shape (K, 2, P).
         """
         final = self.stopped = False
         while not final:
@@ -119,10 +115,10 @@ class Coordinator:
             if self._federation is None:
                 self._shared = plain(uploads)
             else:
-                found = self._federation.exchange(window, model, uploads, self._facts())
-                self._hold(model := found.model)
+                model, payload = self._federation.exchange(window, model, uploads, self._facts())
+                self._hold(model)
                 if not final:
-                    self._fleet.download(window, found.payload)
+                    self._fleet.download(window, payload)
             self._observer.on_window(self.progress, self._shared, self._ap.weights())
             self._keep(final)
         return self._rows(model)
@@ -148,12 +144,9 @@ class Coordinator:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All of the server's side that the run needs to go on from a window boundary."""
-        counters = [getattr(self.progress, field.name) for field in fields(Progress)]
-        run = {"progress": np.array(counters), "stream": generator_state(self._world.generator)}
-        if self._model is not None:
-            run["model"] = self._model
-        else:
-            run["robots"] = self._shared
+        counters = np.array(astuple(self.progress))
+        run = {"progress": counters, "stream": generator_state(self._world.generator)}
+        run |= {"robots": self._shared} if self._model is None else {"model": self._model}
         return flat(
             {
                 "run": run,
@@ -210,27 +203,19 @@ class Coordinator:
             )
         chosen = chosen.reshape(-1, worlds)
         if self._federation is not None:
-            self._count_actions(chosen)
+            robots, _ = drives = np.nonzero(chosen >= 0)
+            np.add.at(self._taken, (robots, chosen[drives]), 1)
         return self._actions.decode(chosen.T)
-
-    def _count_actions(self, chosen: NDArray[np.int64]) -> None:
-        """Counts the actions that robots take, shape (K, E), -1 where one is not driving."""
-        robots, _ = drives = np.nonzero(chosen >= 0)
-        np.add.at(self._taken, (robots, chosen[drives]), 1)
 
     def _pass_on(
         self, window: int, action: NDArray[np.int64], outcome: StepResult, *, last: bool
     ) -> Expect:
-        """Sends the robots the results of their actions; the AP learns while they do.
-
-        Returns:
-            What the robots answer next.
-        """
-        updates, seen = self._records.of(outcome), self._state
-        ended, next_observation = outcome.terminated | outcome.truncated, None
+        """Sends robots their results, while they learn the AP does; returns what they answer."""
+        updates, state = self._records.of(outcome), self._state
+        ended, seen = outcome.terminated | outcome.truncated, None
         ends = bool(ended.any())
         if ends:  # what is counted and seen of an episode comes before the next one begins
-            next_observation = self._count(outcome)
+            seen = self._count(outcome)
             self._end_episodes(ended)
         self._records.observe_into(updates, anew=ends)
         if self._federation is not None:
@@ -239,10 +224,10 @@ class Coordinator:
         if last:
             expect = Expect.END_ROUND if self._is_over() else Expect.WEIGHTS
         self._fleet.send_step(self.progress.tick, window, expect, updates)
-        if next_observation is None:
-            next_observation = self._count(outcome)
-        self._state = self._world.global_observation() if ends else next_observation
-        self._ap.learn(seen, action, outcome, next_observation)
+        if seen is None:
+            seen = self._count(outcome)
+        self._state = self._world.global_observation() if ends else seen
+        self._ap.learn(state, action, outcome, seen)
         return expect
 
     def _count(self, outcome: StepResult) -> NDArray[np.float32]:
@@ -260,9 +245,5 @@ class Coordinator:
         self._tally.restart(ended)
 
     def _is_over(self) -> bool:
-        train = self._config.train
-        if self._stop():
-            self.stopped = True
-        enough = self.progress.episodes >= train.episodes
-        late = train.max_ticks is not None and self.progress.tick >= train.max_ticks
-        return enough or late or self.stopped
+        self.stopped |= self._stop()
+        return self.stopped or self.progress.reaches(self._config.train)

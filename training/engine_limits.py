@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import os
 
-WORKERS_BEYOND_CORES = 4
-MOST_WORKERS = 32
-CORES_PER_CLIENT = 2
-
 
 def max_concurrent_clients() -> int:
     """Clients that Flower's simulation engine runs at once on this machine.
@@ -15,7 +11,7 @@ def max_concurrent_clients() -> int:
     It uses a bare ``ThreadPoolExecutor``, which has min(32, cores + 4) workers. Robots in
     lockstep wait for each other, so one client more would never start.
     """
-    return min(MOST_WORKERS, _cores() + WORKERS_BEYOND_CORES)
+    return min(32, _cores() + 4)
 
 
 def default_concurrency() -> int:
@@ -24,7 +20,7 @@ def default_concurrency() -> int:
     It gives each client two cores. A run of ours that starts its own SuperLink asks for one core a
     client and as many cores as clients instead.
     """
-    return max(1, _cores() // CORES_PER_CLIENT)
+    return max(1, _cores() // 2)
 
 
 def _cores() -> int:

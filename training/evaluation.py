@@ -31,7 +31,6 @@ class Evaluator:
         policy: who decides, what the run's scheme says if None.
 
     Attributes:
-        config: the same.
         world: the world that is played in.
         starts: the cells of the held-out starts, shape (episodes, K).
     """

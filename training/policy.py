@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from agent import q_values
-from conf import (
-    Config,
-    ConfigError,
-    ap_network,
-    robot_actions,
-    robot_network,
-    robots_learn,
-)
+from conf import Config, ConfigError, ap_network, robot_actions, robot_network, robots_learn
 from env.downlink.combinations import count_combinations
 from env.mdp.actions import ActionSpace
 from env.seeding import Stream, stream
-from training.controllers.policies import Exploration, PolicyWeights, RobotNetworks, frozen_policy
+from training.controllers.policies import (
+    Exploration,
+    PolicyWeights,
+    RobotNetworks,
+    explored,
+    frozen_policy,
+)
 
 if TYPE_CHECKING:
     from env.apis.parallel_env import RISFleetParallelEnv
@@ -47,9 +47,7 @@ class AccessPointPolicy:
     def __init__(self, config: Config, weights: Weights) -> None:
         scheme = config.scheme
         if scheme.phase != "learned" or scheme.agents != "federated":
-            key = "agents" if scheme.agents != "federated" else "phase"
-            say = "which leaves the access point no network of its own: allowed is Policy.decide"
-            raise ConfigError(f"scheme.{key}={getattr(scheme, key)}, {say}.")
+            raise _without_network(config, "phase", "the access point no network of its own")
         self._shape, self._weights = ap_network(config), weights
         together = scheme.power == "ap"
         self._combinations = count_combinations(config.env, config.env.robots) if together else 1
@@ -100,20 +98,13 @@ class Policy:
     def __init__(self, config: Config, robots: Weights, ap: Weights) -> None:
         self._config, self._robots, self._ap = config, robots, ap
         self._generator = stream(config.seed, Stream.EVALUATION, 1)
-        self._access_point: AccessPointPolicy | None = None
         self._env: RISFleetParallelEnv | None = None
         self._explorations: dict[float, Exploration] = {}
 
-    @property
+    @cached_property
     def access_point(self) -> AccessPointPolicy:
-        """The access point's network.
-
-        Raises:
-            ConfigError: it has none.
-        """
-        if self._access_point is None:
-            self._access_point = AccessPointPolicy(self._config, self._ap)
-        return self._access_point
+        """The access point's network; a ``ConfigError`` if it has none."""
+        return AccessPointPolicy(self._config, self._ap)
 
     @overload
     def act(
@@ -160,9 +151,7 @@ class Policy:
             return self._act_by_name(observations, epsilon, rng)
         config = self._config
         if not robots_learn(config):
-            key = "agents" if config.scheme.agents != "federated" else "robots"
-            say = "which leaves robots no networks of their own: allowed is Policy.decide"
-            raise ConfigError(f"scheme.{key}={getattr(config.scheme, key)}, {say}.")
+            raise _without_network(config, "robots", "robots no networks of their own")
         network = robot_network(config)
         rows = _rows(observations, (config.env.robots, network.inputs))
         local = rows.reshape(-1, *rows.shape[-2:])
@@ -192,14 +181,11 @@ class Policy:
         return {name: chosen[name] for name in observations}
 
     def decide(self, fleet: RISFleetParallelEnv, epsilon: float = 0.0) -> dict[str, int]:
-        """What all agents do now in an environment, as an evaluation of the run plays it.
+        """The actions of all agents that are left, as an evaluation of the run plays them.
 
         Args:
             fleet: made with the run's ``config.env``, or one of the same sizes; not changed.
             epsilon: probability of a random action, for every agent that learns.
-
-        Returns:
-            An action for each agent that is left.
 
         Raises:
             ConfigError: the environment is of other sizes.
@@ -218,14 +204,17 @@ class Policy:
     def _check(self, fleet: RISFleetParallelEnv) -> None:
         """Checks that the networks fit an environment."""
         own, other = _sizes(self._config), _sizes(replace(self._config, env=fleet.config))
-        wrong = [
-            f"{other[name]} {name}, not {own[name]}" for name in own if own[name] != other[name]
-        ]
+        wrong = [f"{other[it]} {it}, not {own[it]}" for it in own if own[it] != other[it]]
         if wrong:
-            raise ConfigError(
-                f"an environment with {', '.join(wrong)}: allowed is one like"
-                " that of the run, as Run.make_env makes it."
-            )
+            say = "allowed is one like that of the run, as Run.make_env makes it"
+            raise ConfigError(f"an environment with {', '.join(wrong)}: {say}.")
+
+
+def _without_network(config: Config, key: str, say: str) -> ConfigError:
+    """Says which key of ``scheme`` leaves an agent without a network: this, or ``agents``."""
+    key = key if config.scheme.agents == "federated" else "agents"
+    value = getattr(config.scheme, key)
+    return ConfigError(f"scheme.{key}={value}, which leaves {say}: allowed is Policy.decide.")
 
 
 def _sizes(config: Config) -> dict[str, int]:
@@ -240,11 +229,7 @@ def _sizes(config: Config) -> dict[str, int]:
 
 
 def _rows(observations: ArrayLike, ends: tuple[int, ...]) -> NDArray[np.float32]:
-    """Observations whose last axes have these lengths.
-
-    Raises:
-        ValueError: they have not.
-    """
+    """Observations, whose last axes must have these lengths, in float32."""
     rows = np.ascontiguousarray(observations, dtype=np.float32)
     if rows.shape[-len(ends) :] != ends:
         allowed = ", ".join(("...", *map(str, ends)))
@@ -253,10 +238,6 @@ def _rows(observations: ArrayLike, ends: tuple[int, ...]) -> NDArray[np.float32]
 
 
 def _explored(best: Actions, count: int, epsilon: float, generator: np.random.Generator) -> Actions:
-    """Replaces a share of actions by random ones below ``count``."""
     if not 0.0 <= epsilon <= 1.0:
         raise ValueError(f"epsilon={epsilon}: allowed is a number from 0 to 1")
-    if not epsilon:
-        return best
-    random = generator.integers(count, size=best.shape)
-    return np.asarray(np.where(generator.random(best.shape) < epsilon, random, best))
+    return explored(best, count, epsilon, generator) if epsilon else best

@@ -5,20 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from conf import (
-    Config,
-    ConfigError,
-    compose,
-    flower_clients,
-    from_yaml,
-    has_rooms,
-    learns_nothing,
-)
+from conf import Config, ConfigError, compose, flower_clients, from_yaml, has_rooms, learns_nothing
 from conf.rooms import rooms_of
 from env.config import EnvConfig
 from env.plugins import PluginError
 from env.radio import channel_file
-from env.validate import Problem
 from training.engine_limits import max_concurrent_clients
 from training.recording import tracking
 
@@ -32,23 +23,23 @@ def check(config: Config) -> Config:
     Raises:
         ConfigError: names each key, its value and what is allowed.
     """
-    if config.runtime.name == "simulation" and (found := _simulation_problems(config)):
-        raise ConfigError.of(found)
+    clients, most = flower_clients(config), max_concurrent_clients()
+    if config.runtime.name == "simulation" and clients > most:
+        allowed = (
+            f"at most {most} with runtime=simulation on this machine: Flower's engine runs no more"
+            " clients at once, and robots in lockstep need all of theirs"
+        )
+        raise ConfigError.of([("federation.clients", config.federation.clients, allowed)])
+    rooms = [config.env]
     if has_rooms(config):
         rooms = [room.config(config).env for room in rooms_of(config)]  # draws and checks each
-    else:
-        rooms = [config.env]
     if config.env.channel.model == "file":
         _check_channels(rooms)
     return config
 
 
 def checked(overrides: Sequence[str]) -> Config:
-    """Composes and checks a configuration.
-
-    Raises:
-        ConfigError: a wrong key, value or combination.
-    """
+    """Composes and checks a configuration; errors as ``check``."""
     return check(compose(overrides))
 
 
@@ -70,8 +61,7 @@ def checked_training(overrides: Sequence[str]) -> Config:
 def check_trackers(config: Config) -> None:
     """Checks that the trackers that a run has chosen are installed where it is recorded.
 
-    Raises:
-        ConfigError: one is not; that of another machine's ServerApp cannot be told from here.
+    That of another machine's ServerApp cannot be told from here.
     """
     if config.runtime.connection is None and (found := tracking.problems(config.run)):
         raise ConfigError.of(found)
@@ -107,25 +97,10 @@ def checked_yaml(text: str) -> Config:
 
 
 def _check_channels(rooms: Sequence[EnvConfig]) -> None:
-    """Checks that the file of channels fits each of the rooms, which may be alike.
-
-    Raises:
-        ConfigError: it does not.
-    """
+    """Checks that the file of channels fits each of the rooms, which may be alike."""
     seen: list[EnvConfig] = []
     for room in (dataclasses.replace(room, map_seed=0, plan="", robots=1) for room in rooms):
         if room not in seen:
             seen.append(room)
             if found := channel_file.problems(room):
                 raise ConfigError.of(found)
-
-
-def _simulation_problems(config: Config) -> list[Problem]:
-    most = max_concurrent_clients()
-    if flower_clients(config) <= most:
-        return []
-    allowed = (
-        f"at most {most} with runtime=simulation on this machine: Flower's engine runs no more"
-        " clients at once, and robots in lockstep need all of theirs"
-    )
-    return [("federation.clients", config.federation.clients, allowed)]

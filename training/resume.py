@@ -26,6 +26,7 @@ from storage.checkpoint_files import CheckpointError
 from training.checkpoint import Checkpoint, latest
 from training.preflight import check, check_strategies, check_trackers
 from training.recording.csv_log import check_files
+from training.recording.progress import Progress
 from training.run_folder import RunFolder
 
 MAY_CHANGE = ("train.episodes", "train.max_ticks")
@@ -76,7 +77,13 @@ def read(overrides: Sequence[str]) -> tuple[Config, Checkpoint]:
         checkpoint = _checkpoint(folder, config)
     except CheckpointError as error:
         raise ConfigError(f"resume={folder}: {error}.") from error
-    _check_unfinished(folder, config, checkpoint)
+    progress = checkpoint.progress
+    if folder.has_ended and progress.reaches(config.train):
+        raise ConfigError(
+            f"resume={folder}: the run has ended, with {progress.episodes} episodes and"
+            f" {progress.tick} ticks: allowed is one that has not, or a larger train.episodes or"
+            " train.max_ticks."
+        )
     return config, checkpoint
 
 
@@ -110,7 +117,7 @@ def find_run_state(config: Config, folder: RunFolder) -> dict[str, Any] | Checkp
                 allowed = f"a folder whose run has a checkpoint to go on from ({error})"
                 raise ConfigError.of([("run.dir", folder, allowed)]) from error
             return None
-        found, over = checkpoint, _is_over(config, *_counts(checkpoint))
+        found, over = checkpoint, checkpoint.progress.reaches(config.train)
     if over and own.train != config.train:
         raise ConfigError.of([("run.dir", folder, "a folder whose run has not gone beyond this")])
     return found
@@ -120,7 +127,8 @@ def _ended(config: Config, folder: RunFolder) -> dict[str, Any] | None:
     """What ``summary.json`` holds if the run has come to its end."""
     try:
         summary = folder.read_summary()
-        return summary if _is_over(config, summary["episodes"], summary["ticks"]) else None
+        progress = Progress(summary["ticks"], episodes=summary["episodes"])
+        return summary if progress.reaches(config.train) else None
     except (LookupError, TypeError, ValueError) as error:
         allowed = f"a folder whose {folder.summary_file.name} is whole"
         raise ConfigError.of([("run.dir", folder, allowed)]) from error
@@ -129,10 +137,7 @@ def _ended(config: Config, folder: RunFolder) -> dict[str, Any] | None:
 def same(one: Config, other: Config, *, until: bool = True) -> bool:
     """Whether two configurations are of one run, wherever its folder and its robots lie.
 
-    Args:
-        one: a configuration.
-        other: another one.
-        until: whether the run must end alike, too.
+    With ``until`` the run must end alike, too.
     """
     return _essence(one) == _essence(other) and (not until or one.train == other.train)
 
@@ -146,12 +151,7 @@ def _essence(config: Config) -> str:
 
 
 def _checkpoint(folder: RunFolder, config: Config) -> Checkpoint:
-    """The newest whole checkpoint of a run.
-
-    Raises:
-        CheckpointError: there is none.
-        ConfigError: it is another version's.
-    """
+    """The newest whole checkpoint of a run; a ``ConfigError`` if it is another version's."""
     elsewhere = config.runtime.name == "deployment"  # the robots' are on their nodes
     robots = 0 if elsewhere else kept_robots(config)
     rooms = has_rooms(config) and config.runtime.connection is None
@@ -168,17 +168,6 @@ def _checkpoint(folder: RunFolder, config: Config) -> Checkpoint:
 def kept_robots(config: Config) -> int:
     """The robots that keep checkpoints of their own: none in a building, whose rooms do."""
     return config.env.robots if robots_learn(config) and not has_rooms(config) else 0
-
-
-def _counts(checkpoint: Checkpoint) -> tuple[int, int]:
-    """Episodes that have ended, and ticks."""
-    tick, _, episodes = (int(count) for count in checkpoint.arrays["run/progress"])
-    return episodes, tick
-
-
-def _is_over(config: Config, episodes: int, ticks: int) -> bool:
-    most = config.train.max_ticks
-    return episodes >= config.train.episodes or (most is not None and ticks >= most)
 
 
 def _folder(overrides: Sequence[str]) -> RunFolder:
@@ -199,14 +188,3 @@ def _config(folder: RunFolder, overrides: Sequence[str]) -> Config:
         raise ConfigError(f"resume={folder}: {name} cannot be read: {error}.") from error
     config = overridden(config, overrides)
     return check(dataclasses.replace(config, run=dataclasses.replace(config.run, dir=str(folder))))
-
-
-def _check_unfinished(folder: RunFolder, config: Config, checkpoint: Checkpoint) -> None:
-    episodes, tick = _counts(checkpoint)
-    if not folder.has_ended:
-        return  # it died after its last window: the rest is still to be written
-    if _is_over(config, episodes, tick):
-        raise ConfigError(
-            f"resume={folder}: the run has ended, with {episodes} episodes and {tick} ticks:"
-            " allowed is one that has not, or a larger train.episodes or train.max_ticks."
-        )

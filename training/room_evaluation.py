@@ -19,12 +19,7 @@ Measures = dict[str, float]
 
 @dataclass(frozen=True)
 class RoomScore:
-    """What frozen weights are worth in a room.
-
-    Attributes:
-        room: which.
-        found: measures, and an episode.
-    """
+    """What frozen weights are worth in a room."""
 
     room: Room
     found: Evaluation
@@ -32,10 +27,6 @@ class RoomScore:
 
 class RoomsEvaluator:
     """Evaluators of some of a building's rooms, made when they are first played in.
-
-    Args:
-        config: the building's configuration.
-        rooms: the building's rooms.
 
     Attributes:
         rooms: those that are played in while training: at most ``rooms.evaluated`` of each kind,
@@ -47,25 +38,20 @@ class RoomsEvaluator:
         most = config.rooms.evaluated
         kinds = [[room for room in rooms if room.held_out == held] for held in (False, True)]
         self.rooms = [room for kind in kinds for room in _spread(kind, most)]
-        self._evaluators: dict[str, Evaluator] = {}
+        self._evaluators: list[Evaluator] = []
 
     def scores(
         self, model: Weights, ap_of: Callable[[Room], Weights], epsilon: float
     ) -> list[RoomScore]:
-        """Plays the held-out starts of each room.
+        """Plays the held-out starts of each room, with exploration and greedily.
 
-        Args:
-            model: the robots' online network, shape (P,).
-            ap_of: a room's access point's, shape (P_AP,).
-            epsilon: exploration, beside greedy play.
+        The robots' online network is of shape (P,), a room's access point's of (P_AP,).
         """
-        for room in self.rooms:
-            if room.name not in self._evaluators:
-                self._evaluators[room.name] = Evaluator(room.config(self._config))
-        evaluators = [self._evaluators[room.name] for room in self.rooms]
+        if not self._evaluators:
+            self._evaluators = [Evaluator(room.config(self._config)) for room in self.rooms]
         return [
             RoomScore(room, evaluate(evaluator, model[None], ap_of(room), epsilon))
-            for room, evaluator in zip(self.rooms, evaluators, strict=True)
+            for room, evaluator in zip(self.rooms, self._evaluators, strict=True)
         ]
 
 
@@ -77,15 +63,14 @@ def score(config: Config, room: Room, model: Weights, ap: Weights, epsilon: floa
 
 def overall(scores: Sequence[RoomScore]) -> tuple[Measures, Measures]:
     """Means over rooms, each counted alike: explored and greedy."""
-    kinds = ([each.found.explored for each in scores], [each.found.greedy for each in scores])
-    explored, greedy = (
-        {
-            name: mean([row[name] for row in rows])
-            for name in (*MEASURES, "reward", "slots", "epsilon")
-        }
-        for rows in kinds
+
+    def means(rows: list[Measures]) -> Measures:
+        names = (*MEASURES, "reward", "slots", "epsilon")
+        return {name: mean([row[name] for row in rows]) for name in names}
+
+    return means([each.found.explored for each in scores]), means(
+        [each.found.greedy for each in scores]
     )
-    return explored, greedy
 
 
 def _spread(rooms: Sequence[Room], most: int) -> list[Room]:

@@ -23,12 +23,7 @@ ROOMS = "rooms"
 
 @dataclass(frozen=True)
 class Spent:
-    """What a round has cost a client.
-
-    Attributes:
-        cpu_s: processor time.
-        nbytes: bytes of weights and episodes in its reply.
-    """
+    """What a round has cost a client: processor time, and bytes of arrays in its reply."""
 
     cpu_s: float
     nbytes: int
@@ -37,10 +32,8 @@ class Spent:
 def asked(config: Config, fingerprint: str, task: RoundTask) -> RecordDict:
     """A round as a client is asked it; an access point's network that many take is sent once.
 
-    Args:
-        config: of the building.
-        fingerprint: of the program that the rooms must be played with.
-        task: with the rooms that this client hosts.
+    The configuration is the building's, the fingerprint of the program that its rooms must be
+    played with; the task has the rooms that this client hosts.
     """
     arrays = {"model": task.model}
     takes = []
@@ -129,11 +122,7 @@ def read_reply(
 
 
 def _weights(index: int, name: str, found: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """A room's weights.
-
-    Raises:
-        ValueError: they are missing, of another type or shape, or absurd.
-    """
+    """A room's weights; a ``ValueError`` if they are missing, of another shape, or absurd."""
     whose = "its robots" if name == "model" else "its access point"
     if found is None or found.shape != shape or found.dtype != np.float32:
         raise ValueError(f"room {index} replied no float32 network of shape {shape} of {whose}")

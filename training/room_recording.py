@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from conf.rooms import Room
 from training.recording.csv_log import CsvLog
 from training.recording.history import MEASURES, METRICS
 from training.recording.progress import Progress
-from training.recording.recorder import PROGRESS_PERIOD_S, Recorder
+from training.recording.recorder import Recorder
 from training.room_evaluation import RoomScore, RoomsEvaluator, Weights, overall
 from training.rooms import RoomReport
 from training.run_folder import RunFolder
@@ -28,12 +27,7 @@ class BuildingRecorder(Recorder):
     What ``metrics.csv`` and ``evaluations.csv`` say of a run they say here of all rooms: episodes
     are counted by room, and an evaluation is the mean over rooms that are trained in.
 
-    Args:
-        config: the run's configuration.
-        folder: the run's folder, made here.
-        evaluator: plays frozen weights in rooms.
-        cpu_s: processor time that the run has used so far.
-        resumed: what ``marks`` gave where the run goes on from a checkpoint.
+    Its arguments are those of ``Recorder``; ``evaluator`` plays frozen weights in rooms.
 
     Attributes:
         rooms: the rows of ``rooms.csv``.
@@ -65,13 +59,7 @@ class BuildingRecorder(Recorder):
     def on_reports(
         self, progress: Progress, reports: Mapping[int, RoomReport], missing: Sequence[int]
     ) -> None:
-        """Writes what the episodes of a round came to.
-
-        Args:
-            progress: where the building is.
-            reports: of the rooms that took part, by index.
-            missing: those that could not be reached.
-        """
+        """Writes what the episodes of a round came to, and which rooms could not be reached."""
         self._took_part, self._missing = sorted(reports), missing
         for index in self._took_part:
             for values in reports[index].episodes:
@@ -87,22 +75,14 @@ class BuildingRecorder(Recorder):
     def on_round(
         self, progress: Progress, model: Weights, ap_of: Callable[[Room], Weights]
     ) -> None:
-        """Evaluates the building's weights where that is due.
+        """Evaluates where that is due; networks as in ``RoomsEvaluator.scores``."""
+        self._evaluate_where_due(progress, model, ap_of)
 
-        Args:
-            progress: where the building is.
-            model: the robots' online network, shape (P,).
-            ap_of: a room's access point's online network, shape (P_AP,).
-        """
-        if progress.episodes // self._config.evaluation.every > len(self.history.evaluations):
-            began = time.perf_counter()
-            scores = self._rooms_evaluator.scores(model, ap_of, self._config.evaluation.epsilon)
-            self.write_scores(progress, scores)
-            explored, greedy = overall([s for s in scores if not s.room.held_out])
-            self._write_evaluation(progress, explored, greedy)
-            self.evaluation_s += time.perf_counter() - began
-        if time.perf_counter() - self._written > PROGRESS_PERIOD_S:
-            self.report("training", progress)
+    def _evaluate(self, progress: Progress, robots: Weights, ap: Any) -> None:
+        scores = self._rooms_evaluator.scores(robots, ap, self._config.evaluation.epsilon)
+        self.write_scores(progress, scores)
+        explored, greedy = overall([each for each in scores if not each.room.held_out])
+        self._write_evaluation(progress, explored, greedy)
 
     def write_scores(self, progress: Progress, scores: Sequence[RoomScore]) -> None:
         """Writes two rows of ``rooms.csv`` for each room: with exploration, and greedy.

@@ -1,4 +1,4 @@
-"""The folder of a run: how each of its files is read and written whole."""
+"""The folder of a run: what its files are called, and how each is read and written whole."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from env.texts import read_text
 from storage.atomic import write_atomically, write_whole
 from storage.safetensors_metadata import read_metadata, with_metadata
 from storage.strict_json import to_json
-from training.run_paths import RunPaths
 from training.weights_metadata import config_in, describe
 
 _NOTHING_YET: dict[str, Any] = {
@@ -42,8 +41,31 @@ _NOTHING_YET: dict[str, Any] = {
 """What a run that failed before its first tick could not say, and a damaged file does not."""
 
 
-class RunFolder(RunPaths):
-    """A run's folder, there or not: what is in it, read and written."""
+class RunFolder:
+    """A run's folder, there or not; no other module knows the name of a file in it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config_file = path / "config.yaml"  # the whole configuration
+        self.summary_file = path / "summary.json"  # what it came to; last but for the figures
+        self.progress_file = path / "progress.json"  # how far it is, for whoever watches
+        self.metrics_file = path / "metrics.csv"  # an episode a row
+        self.evaluations_file = path / "evaluations.csv"  # two rows each: explored, then greedy
+        self.episode_file = path / "episode.json"  # the newest of an evaluation, slot by slot
+        self.rooms_file = path / "rooms.json"  # of a building, as ``conf.rooms`` describes them
+        self.rooms_log_file = path / "rooms.csv"  # two rows for each room that is evaluated
+        self.weights_file = path / "weights.safetensors"  # the final ones
+        self.stop_file = path / "stop"  # with it the run, or all of a sweep, ends at a window's end
+        self.log_file = path / "flower.log"  # what Flower's processes say
+        self.state = path / "state"  # checkpoints, see ``storage.checkpoint_layout``
+        self.figures = path / "figures"
+        self.tensorboard = path / "tensorboard"  # its events
+        self.wandb = path / "wandb"  # which W&B makes for itself
+        self.mlflow = path / "mlflow"  # MLflow's database, unless the user names another
+
+    def __str__(self) -> str:
+        """The folder's path."""
+        return str(self.path)
 
     @classmethod
     def of(cls, config: Config) -> RunFolder:
@@ -81,32 +103,25 @@ class RunFolder(RunPaths):
 
     def results(self) -> list[Path]:
         """What is there for the user to look at, sorted."""
-        named = [
-            self.config_file,
-            self.summary_file,
-            self.metrics_file,
-            self.evaluations_file,
-            self.rooms_log_file,
-            self.weights_file,
-            self.tensorboard,
-            self.wandb,
-            self.mlflow,
-        ]
-        return sorted(p for p in (*named, *self.figures.glob("*.png")) if p.exists())
+        files = [self.config_file, self.summary_file, self.weights_file, *self._records]
+        found = (*files, *self._tracked, *self.figures.glob("*.png"))
+        return sorted(path for path in found if path.exists())
+
+    @property
+    def _records(self) -> list[Path]:
+        return [self.metrics_file, self.evaluations_file, self.rooms_log_file]
+
+    @property
+    def _tracked(self) -> list[Path]:
+        return [self.tensorboard, self.wandb, self.mlflow]
 
     def clear(self, *, whole: bool = False) -> None:
-        """Removes what a run that goes on says anew.
-
-        Args:
-            whole: also what it had recorded, since it begins again.
-        """
+        """Removes what a run that goes on says anew; the ``whole`` of it where one begins again."""
         stale = [self.progress_file, self.summary_file, self.episode_file]
-        recorded = [self.metrics_file, self.evaluations_file, self.rooms_log_file]
-        for path in stale + (recorded if whole else []):
+        for path in stale + (self._records if whole else []):
             path.unlink(missing_ok=True)
-        if whole:
-            for tracked in (self.tensorboard, self.wandb, self.mlflow):
-                shutil.rmtree(tracked, ignore_errors=True)
+        for folder in self._tracked if whole else []:
+            shutil.rmtree(folder, ignore_errors=True)
 
     # --- Configuration, summary, weights ----------------------------------------------------------
 
@@ -145,19 +160,12 @@ class RunFolder(RunPaths):
         write_atomically(self.summary_file, to_json(summary))
 
     def read_weights(self, config: Config) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The online weights that the run has written: robots (K, P) and access point (P_AP,).
-
-        Raises:
-            ConfigError: see ``read_networks``.
-        """
+        """The online ones of ``read_networks``: robots (K, P) and access point (P_AP,)."""
         robots, ap = self.read_networks(config)
         return robots[:, 0], ap[0]
 
     def read_networks(self, config: Config) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """All weights that the run has written, online then target.
-
-        Returns:
-            Those of the robots, shape (K, 2, P), and of the access point, shape (2, P_AP).
+        """All weights that the run has written, online then target: (K, 2, P) and (2, P_AP).
 
         Raises:
             ConfigError: they are missing, damaged or of another size than the configuration's.
@@ -181,13 +189,7 @@ class RunFolder(RunPaths):
     def write_weights(
         self, robots: NDArray[np.float32], ap: NDArray[np.float32], config: Config
     ) -> None:
-        """Writes the final weights, online then target, and what they are.
-
-        Args:
-            robots: shape (K, 2, P).
-            ap: shape (2, P_AP).
-            config: the run's.
-        """
+        """Writes the final weights as ``read_networks`` gives them, and what they are."""
         arrays = {"robots": np.ascontiguousarray(robots), "ap": np.ascontiguousarray(ap)}
         content = with_metadata(save(arrays), describe(config, robots, ap))
         write_whole(self.weights_file, content)
@@ -196,11 +198,8 @@ class RunFolder(RunPaths):
 
     def read_progress(self) -> dict[str, Any] | None:
         """What the run last said of its progress; None if it has said nothing yet."""
-        try:
-            written = json.loads(self.progress_file.read_text(encoding="utf-8-sig"))
-        except (OSError, ValueError):
-            return None
-        return _NOTHING_YET | written if isinstance(written, dict) else None
+        written = _read_object(self.progress_file)
+        return None if written is None else _NOTHING_YET | written
 
     def write_progress(self, status: Mapping[str, Any]) -> None:
         """Writes how far the run has come; a crash of the machine may undo it."""
@@ -208,11 +207,7 @@ class RunFolder(RunPaths):
 
     def read_episode(self) -> dict[str, Any] | None:
         """The newest recorded episode, as ``training.trace.recorded``; None if there is none."""
-        try:
-            written = json.loads(self.episode_file.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return written if isinstance(written, dict) else None
+        return _read_object(self.episode_file)
 
     def write_episode(self, episode: Mapping[str, Any]) -> None:
         """Writes the newest episode; a crash of the machine may undo it."""
@@ -230,9 +225,7 @@ class RunFolder(RunPaths):
         Raises:
             OSError: the file cannot be written.
         """
-        status: dict[str, Any] = {}
-        with suppress(OSError, ValueError, TypeError):  # not yet there, or damaged
-            status |= json.loads(self.progress_file.read_text(encoding="utf-8-sig"))
+        status = _read_object(self.progress_file) or {}
         if status.get("state") == "failed":
             return
         status |= {"state": state, "message": message, "written_at": time.time()}
@@ -244,3 +237,12 @@ class RunFolder(RunPaths):
         """Why the run failed, in its own words; None if it says no such thing."""
         status = self.read_progress()
         return str(status["message"]) if status and status["state"] == "failed" else None
+
+
+def _read_object(path: Path) -> dict[str, Any] | None:
+    """What a file of JSON holds; None if it is not yet there, or damaged."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None

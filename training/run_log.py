@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 OURS = (
     *("agent", "client_app", "conf", "env", "lockstep"),
@@ -14,6 +15,7 @@ OURS = (
 """The loggers of our packages."""
 
 
+@dataclass
 class RunLog:
     """What the lines of a process are about; may change while it lasts.
 
@@ -24,16 +26,15 @@ class RunLog:
         kind: which of the two.
     """
 
-    def __init__(
-        self, run: str | None, round_number: int, robots: Sequence[int], kind: str = "robot"
-    ) -> None:
-        self.run, self.round, self.robots = run or "-", round_number, tuple(robots)
-        self.kind = kind
+    run: str | None
+    round: int
+    robots: Sequence[int]
+    kind: str
 
     def __str__(self) -> str:
         """As it stands at the head of a line."""
         who = f"{self.kind} {','.join(map(str, self.robots))}" if self.robots else "server"
-        return f"run {self.run} round {self.round} {who}"
+        return f"run {self.run or '-'} round {self.round} {who}"
 
 
 @contextmanager
@@ -42,14 +43,7 @@ def log_lines(
 ) -> Iterator[RunLog]:
     """Lets our packages log to standard error from the level INFO on, while this lasts.
 
-    Args:
-        run: the run's identity.
-        round_number: the Flower round.
-        robots: the robots, or rooms, of this process, none on the server.
-        kind: which of the two.
-
-    Yields:
-        What each line says of the run.
+    Takes what ``RunLog`` holds; yields what each line says of the run.
     """
     about = RunLog(run, round_number, robots, kind)
     handler = logging.StreamHandler(sys.stderr)

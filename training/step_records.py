@@ -15,12 +15,7 @@ OUTCOME, ARRIVED, DRIVING = (np.uint16(flag) for flag in (Flag.OUTCOME, Flag.ARR
 
 
 class StepRecords:
-    """Fills the records of K robots in E worlds, robot-major: shape (K E,).
-
-    Args:
-        layout: what a record holds.
-        world: the worlds.
-    """
+    """Fills the records of K robots in E worlds, robot-major: shape (K E,)."""
 
     def __init__(self, layout: Layout, world: World) -> None:
         self._layout, self._world = layout, world

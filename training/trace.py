@@ -80,12 +80,12 @@ class Trace:
 
 
 def recorded(trace: Trace, world: World, measures: EpisodeMeasures) -> dict[str, Any]:
-    """The first episode of a trace in the form of ``episode.json``.
+    """The first episode of a trace, after ``finish``, in the form of ``episode.json``.
 
     Args:
-        trace: after ``finish``.
-        world: where it was played.
-        measures: of episodes, the first of which is that one.
+        trace: of episodes.
+        world: where they were played.
+        measures: of them.
 
     Returns:
         "cells", those at the end included, (T + 1, K); for each of T slots "driving", "rates" in

@@ -8,16 +8,14 @@ gets the mean of what the heads send back.
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
 from agent.agents.stack import ReplayAgents
 from agent.config import AgentConfig
 from agent.exploration import NO_ACTION
-from agent.learning.buffers import Workspace
-from agent.learning.gradients import Backward, Forward
+from agent.learning.gradients import GradientStep
 from agent.learning.heads import HeadRows, Heads
-from agent.learning.learner import Gradients, Learner
+from agent.learning.learner import Learner
 from agent.learning.losses import huber
 from agent.networks.mlp import FloatArray, NetworkShape, forward
 
@@ -103,78 +101,50 @@ class BranchingDQN(ReplayAgents):
 
 
 class BranchingLearner(Learner):
-    """The learner of one network with several heads."""
+    """The learner of one network with several heads, whose discounts are the heads' own."""
 
     def __init__(
         self, shape: NetworkShape, heads: Heads, config: AgentConfig, layout: HeadRows
     ) -> None:
         """Reserves the network's rows, all zero."""
         self._heads, self._layout = heads, layout
-        super().__init__(shape, config, 0.0, 1, width=layout.width)
-        self._scratch = Workspace(shape, config, 2, 1)
+        super().__init__(shape, config, discount=1.0, agents=1, width=layout.width)
 
-    def _new_span(self, start: int, stop: int) -> Gradients:
-        return _HeadGradients(
+    def _plan(self, start: int, stop: int) -> GradientStep:
+        step = _HeadStep(
             self._shape,
-            self._heads,
             self._config,
+            self._discount,
             self._weights,
             self._gradient[:, 0],
-            self._layout,
-            self.batch[0],
+            self.batch,
             self._scratch,
         )
+        step.heads, step.rows = self._heads, self._layout
+        return step
 
 
-class _HeadGradients:
-    """The arithmetic of one gradient step, `GradientStep`'s for several heads."""
+class _HeadStep(GradientStep):
+    """One gradient step of a network with several heads, on rows of their own layout."""
 
-    def __init__(
-        self,
-        shape: NetworkShape,
-        heads: Heads,
-        config: AgentConfig,
-        weights: torch.Tensor,
-        gradient: torch.Tensor,
-        layout: HeadRows,
-        batch: FloatArray,
-        scratch: Workspace,
-    ) -> None:
-        """Plans the step of one network's rows (1, 2, P) on a batch (B, row width)."""
-        size, inputs = len(batch), shape.inputs
-        self._heads, self._config, self._layout, self._batch = heads, config, layout, batch
-        self._states = batch[:, : 2 * inputs].reshape(size, 2, inputs).transpose(1, 2, 0)
-        self._forward = Forward(shape, weights, scratch.layers)
-        self._chooser = None
-        if scratch.chooser is not None:
-            self._chooser = Forward(shape, weights[:, :1], scratch.chooser)
-        read = self._forward.activations
-        self._backward = Backward(shape, weights[:, 0], gradient, read, scratch.grads)
-        self._sample = np.arange(size)
+    heads: Heads
+    rows: HeadRows
 
     def run(self) -> FloatArray:
         """Computes the gradient; returns the mean loss, shape (1,)."""
-        self._forward.inputs[0] = self._states
-        self._forward.run()
-        rows, layout = self._batch.T, self._layout
-        active = rows[layout.active]
-        places = rows[layout.actions].astype(np.intp) + self._heads.starts[:, None]
-        error = self._forward.q[0, 0][places, self._sample] - self._targets(active)
-        losses, grad = huber(error, self._config.huber_delta)
+        self._run_forward()
+        fields, layout = self._batch[0].T, self.rows
+        active, terminal = fields[layout.active], fields[layout.terminal]
+        q, target_q = self._forward.q[0]
+        by = self._next_online_q()
+        values = self.heads.values(target_q, None if by is None else by[0])
+        going_on = active * (1 - terminal)
+        targets = self.heads.targets(fields[layout.rewards], terminal, going_on, values)
+        places = fields[layout.actions].astype(np.intp) + self.heads.starts[:, None]
+        samples = np.arange(self._size)
+        losses, grad = huber(q[places, samples] - targets, self._config.huber_delta)
         share = active / np.float32(active.size)
         self._backward.grad.fill(0)
-        self._backward.grad[0, places, self._sample] = grad * share
+        self._backward.grad[0, places, samples] = grad * share
         self._backward.run()
         return np.array([(losses * share).sum()], np.float32)
-
-    def _targets(self, active: FloatArray) -> FloatArray:
-        """TD targets of the batch, shape (H, B)."""
-        chosen = None
-        if self._chooser is not None:
-            self._chooser.inputs[0, 0] = self._forward.inputs[0, 1]
-            self._chooser.run()
-            chosen = self._chooser.q[0, 0]
-        values = self._heads.values(self._forward.q[0, 1], chosen)
-        terminal = self._batch.T[self._layout.terminal]
-        rewards = self._batch.T[self._layout.rewards]
-        return self._heads.targets(rewards, terminal, active * (1 - terminal), values)

@@ -15,8 +15,7 @@ from agent.config import AgentConfig
 from agent.exploration import explore
 from agent.learning.learner import Learner
 from agent.networks.mlp import FloatArray, NetworkShape
-from agent.replay.n_step import NStepBuilder
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 
 
 class DQN(ReplayAgents):
@@ -49,11 +48,6 @@ class DQN(ReplayAgents):
         learner = Learner(shape, config, discount, len(generators), proximal_mu)
         super().__init__(shape, config, learner, generators, worlds)
         self._layout = RowLayout(shape.inputs)
-        if config.n_step > 1 and discount:  # without a discount nothing further is ahead
-            self._windows = [
-                [NStepBuilder(self._layout, config.n_step, discount) for _ in range(worlds)]
-                for _ in self._generators
-            ]
 
     def act(
         self, observations: FloatArray, epsilon: float, active: NDArray[np.bool_]

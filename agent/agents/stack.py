@@ -12,11 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.config import AgentConfig
-from agent.learning.interface import Learns
+from agent.learning.learner import Learner
 from agent.networks.mlp import FloatArray, NetworkShape
-from agent.replay.n_step import NStepBuilder
-from agent.replay.prioritised import PrioritisedReplay
-from agent.replay.uniform import Replay
+from agent.replay import Replay
 from storage.generators import generator_state, restore_generator
 
 State = dict[str, NDArray[np.generic]]
@@ -27,6 +25,7 @@ class ReplayAgents:
 
     Attributes:
         shape: of each agent's network.
+        worlds: E, in each of which every agent acts.
         online: the online networks, shape (n, P), a view of the learner's memory.
         target: the target networks, likewise.
     """
@@ -35,25 +34,16 @@ class ReplayAgents:
         self,
         shape: NetworkShape,
         config: AgentConfig,
-        learner: Learns,
+        learner: Learner,
         generators: Sequence[np.random.Generator],
         worlds: int = 1,
     ) -> None:
-        """Makes agents with weights of zero; `load` gives them their first ones.
-
-        Args:
-            shape: of each agent's network.
-            config: how they learn.
-            learner: of n agents.
-            generators: each agent's own, n of them.
-            worlds: E, in each of which every agent acts.
-        """
+        """Makes agents with weights of zero, each with a generator; `load` gives them others."""
         self.shape, self._config, self._learner = shape, config, learner
         self.worlds = worlds
         self._generators = list(generators)
         width = learner.batch.shape[-1]
-        self._replays = [self._new_replay(agent, width) for agent in range(len(self))]
-        self._windows: list[list[NStepBuilder]] = []
+        self._replays = [Replay(config.replay_size, width) for _ in generators]
         self._rows: FloatArray = np.zeros((len(self) * worlds, width), np.float32)
         self.online: FloatArray = learner.weights[:, 0]
         self.target: FloatArray = learner.weights[:, 1]
@@ -88,14 +78,15 @@ class ReplayAgents:
             Mean losses, nan where no update was made, shape (n,).
         """
         where = active.reshape(len(self), self.worlds)
-        acting: list[bool] = np.logical_or.reduce(where, axis=1).tolist()
-        stored = [
-            self._store(agent, where[agent]) if acts else 0 for agent, acts in enumerate(acting)
-        ]
-        learning = [
-            acts and len(replay) >= self._config.learn_from
-            for acts, replay in zip(acting, self._replays, strict=True)
-        ]
+        stored: list[int] = np.add.reduce(where, axis=1, dtype=int).tolist()
+        learning = []
+        for agent, (replay, count) in enumerate(zip(self._replays, stored, strict=True)):
+            if count and self.worlds == 1:
+                replay.add(self._rows[agent])
+            elif count:
+                first = agent * self.worlds
+                replay.extend(self._rows[first : first + self.worlds][where[agent]])
+            learning.append(count > 0 and len(replay) >= self._config.learn_from)
         losses = self._update(learning)
         for _ in range(self._config.updates - 1):
             losses += self._update(learning)
@@ -106,38 +97,21 @@ class ReplayAgents:
                     self._learner.copy_to_target(agent)
         return losses
 
-    def _new_replay(self, agent: int, width: int) -> Replay:
-        config, weighing = self._config, self._learner.weighing
-        if weighing is None:
-            return Replay(config.replay_size, width)
-        places = weighing.importance[agent], weighing.error[agent]
-        return PrioritisedReplay(config.replay_size, width, config.priority, *places)
-
-    def _store(self, agent: int, active: NDArray[np.bool_]) -> int:
-        """Stores an agent's rows, or what its windows have ready; returns how many were stored."""
-        replay, first = self._replays[agent], agent * self.worlds
-        rows = self._rows[first : first + self.worlds]
-        if self._windows:
-            windows = self._windows[agent]
-            ready = [each for w in np.flatnonzero(active) for each in windows[w].add(rows[w])]
-        elif self.worlds > 1:
-            replay.extend(rows[active])
-            return int(np.count_nonzero(active))
-        else:
-            ready = [rows[0]]
-        for each in ready:
-            replay.add(each)
-        return len(ready)
-
     def _update(self, learning: Sequence[bool]) -> FloatArray:
         """Lets agents take one gradient step each, on transitions drawn anew; mean losses."""
-        learners = [agent for agent, learns in enumerate(learning) if learns]
-        for agent in learners:
-            self._replays[agent].sample(self._generators[agent], self._learner.batch[agent])
-        losses = self._learner.update(learning)
-        for agent in learners:
-            self._replays[agent].update_priorities()
-        return losses
+        for agent, learns in enumerate(learning):
+            if learns:
+                self._replays[agent].sample(self._generators[agent], self._learner.batch[agent])
+        return self._learner.update(learning)
+
+    def _saved_rows(self, agent: int) -> dict[str, FloatArray]:
+        """Views of one agent's rows in the learner, by the names in its state."""
+        learner = self._learner
+        return {
+            "weights": learner.weights[agent],
+            "moments": learner.moments[agent],
+            "anchor": learner.proximal_reference[agent],
+        }
 
     def agent_state(self, agent: int) -> State:
         """All that one agent needs to go on to the same bits, in this stack or another.
@@ -148,16 +122,10 @@ class ReplayAgents:
         Returns:
             Copies, by name.
         """
-        learner, replay = self._learner, self._replays[agent]
-        windows = self._windows[agent] if self._windows else []
-        window = {_window_name(world): each.rows() for world, each in enumerate(windows)}
+        replay = self._replays[agent]
         return {
-            **window,
-            **replay.extra_state(),
-            "weights": learner.weights[agent].copy(),
-            "moments": learner.moments[agent].copy(),
-            "anchor": learner.proximal_reference[agent].copy(),
-            "updates": learner.steps[agent].astype(np.int64).reshape(1),
+            **{name: rows.copy() for name, rows in self._saved_rows(agent).items()},
+            "updates": self._learner.steps[agent].astype(np.int64).reshape(1),
             "replay": replay.rows(),
             "stored": np.array([replay.added], np.int64),
             "generator": generator_state(self._generators[agent]),
@@ -170,25 +138,16 @@ class ReplayAgents:
             agent: its place in this stack.
             state: from an agent of the same shape and configuration.
         """
-        learner = self._learner
-        for name, place in (
-            ("weights", learner.weights[agent]),
-            ("moments", learner.moments[agent]),
-            ("anchor", learner.proximal_reference[agent]),
-        ):
-            if state[name].shape != place.shape:
+        saved = self._saved_rows(agent)
+        for name, rows in saved.items():
+            if state[name].shape != rows.shape:
                 raise ValueError(
-                    f"{name} of shape {state[name].shape} do not fit this network: {place.shape}"
+                    f"{name} of shape {state[name].shape} do not fit this network: {rows.shape}"
                 )
         self._replays[agent].restore(state["replay"], int(state["stored"][0]))
-        self._replays[agent].restore_marks(state)
-        for world, window in enumerate(self._windows[agent] if self._windows else []):
-            window.restore(state[_window_name(world)])
-        learner.weights[agent], learner.moments[agent] = state["weights"], state["moments"]
-        learner.proximal_reference[agent], learner.steps[agent] = (
-            state["anchor"],
-            state["updates"][0],
-        )
+        for name, rows in saved.items():
+            rows[:] = state[name]
+        self._learner.steps[agent] = state["updates"][0]
         restore_generator(self._generators[agent], state["generator"])
 
     def state(self) -> State:
@@ -204,10 +163,5 @@ class ReplayAgents:
         for agent in range(len(self)):
             own = f"{agent}/"
             self.restore_agent(
-                agent,
-                {key.removeprefix(own): a for key, a in state.items() if key.startswith(own)},
+                agent, {key.removeprefix(own): a for key, a in state.items() if key.startswith(own)}
             )
-
-
-def _window_name(world: int) -> str:
-    return f"window{world or ''}"

@@ -12,17 +12,10 @@ _ALIGNMENT = 16  # floats: one cache line
 
 
 def aligned_zeros(agents: int, *shape: int) -> torch.Tensor:
-    """Zeros in which each agent's part starts on a cache line.
+    """Zeros of shape (agents, *shape) in which each agent's part starts on a cache line.
 
     An agent's numbers then lie alike whether it is alone or one of many; vectorised loops may
-    depend on alignment.
-
-    Args:
-        agents: n.
-        shape: of one agent's part.
-
-    Returns:
-        A view of shape (n, *shape), contiguous within an agent's part.
+    depend on alignment. An agent's part is contiguous.
     """
     size = int(np.prod(shape))
     padded = -(-size // _ALIGNMENT) * _ALIGNMENT
@@ -41,13 +34,9 @@ class Workspace:
     """
 
     def __init__(self, shape: NetworkShape, config: AgentConfig, passes: int, agents: int) -> None:
-        """Reserves the buffers.
+        """Reserves the buffers of n agents.
 
-        Args:
-            shape: of the networks.
-            config: how they learn.
-            passes: 2 for the forward of states and of next states, 1 for states alone.
-            agents: n.
+        `passes` is 2 for the forward of states and of next states, 1 for states alone.
         """
         size = config.batch_size
         double = config.double and passes == 2

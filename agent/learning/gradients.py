@@ -19,11 +19,10 @@ import numpy as np
 import torch
 
 from agent.config import AgentConfig
-from agent.learning.buffers import Workspace, aligned_zeros
+from agent.learning.buffers import Workspace
 from agent.learning.losses import double_dqn_values, dqn_values, huber, td_target
 from agent.networks.mlp import FloatArray, NetworkShape
-from agent.replay.prioritised import ImportanceWeights
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 
 _TORCH_FROM = 1 << 20  # multiply-adds of a product that torch does sooner than NumPy ...
 _TORCH_GRADIENT_FROM = 1 << 17  # ... and of one that sums over the batch
@@ -57,19 +56,13 @@ class Forward:
         self.inputs: FloatArray = self.activations[0][:, :, :-1].numpy()
         self.q: FloatArray = q.numpy()
         self._steps: list[Step] = []
-        head, last = shape.head, q
-        if head is not None:
-            last = aligned_zeros(*q.shape[:2], head.outputs, q.shape[3])
-        outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), last]
+        outputs = [*(activation[:, :, :-1] for activation in self.activations[1:]), q]
         for matrix, activation, output in zip(
             shape.matrices(weights), self.activations, outputs, strict=True
         ):
             self._steps.append(_product(matrix.mT, activation, output, _TORCH_FROM))
-            if output is not last:
+            if output is not q:
                 self._steps.append(partial(torch.relu_, output))
-        if head is not None:
-            made, of = head.action_values, last.numpy()
-            self._steps.append(lambda: np.copyto(self.q, made(of, 2)))
 
     def run(self) -> None:
         """Computes `q` from `inputs`."""
@@ -105,9 +98,6 @@ class Backward:
         weights, gradients = shape.matrices(online), shape.matrices(gradient)
         self.grad: FloatArray = grads[-1].numpy()
         self._steps: list[Step] = []
-        if (head := shape.head) is not None:
-            self.grad = aligned_zeros(len(online), shape.actions, grads[-1].shape[-1]).numpy()
-            self._steps.append(partial(head.backward, self.grad, grads[-1].numpy()))
         for depth in reversed(range(len(grads))):
             read, grad = activations[depth][:, 0], grads[depth]
             self._steps.append(_product(read, grad.mT, gradients[depth], _TORCH_GRADIENT_FROM))
@@ -134,7 +124,6 @@ class GradientStep:
         gradient: torch.Tensor,
         batch: FloatArray,
         scratch: Workspace,
-        weighing: ImportanceWeights | None = None,
     ) -> None:
         """Plans a gradient step.
 
@@ -146,13 +135,11 @@ class GradientStep:
             gradient: where the online networks' gradient goes, shape (n, P).
             batch: where their sampled transitions will stand, shape (n, B, row width).
             scratch: buffers for at least n agents.
-            weighing: what each sample weighs, and where its error goes; None: all weigh 1.
         """
         agents, size = batch.shape[:2]
         passes = 2 if discount else 1
         self._config, self._discount = config, discount
         self._layout, self._batch, self._size = RowLayout(shape.inputs), batch, size
-        self._weighing = weighing
         states = batch[:, :, : passes * shape.inputs]
         self._states = states.reshape(agents, size, passes, shape.inputs).transpose(0, 2, 3, 1)
         self._forward = Forward(shape, weights[:, :passes], scratch.layers)
@@ -170,15 +157,12 @@ class GradientStep:
         Returns:
             Each agent's mean loss, shape (n,).
         """
-        np.copyto(self._forward.inputs, self._states)
-        self._forward.run()
+        self._run_forward()
         action = self._batch[:, :, self._layout.action].astype(np.intp)
         action *= self._size
         error = self._flat_q.take(action + self._q_at)
         error -= self._targets()
         losses, grad = huber(error, self._config.huber_delta)
-        if self._weighing is not None:
-            self._weighing.weigh(error, losses, grad)
         grad *= 1 / self._size
         self._flat_grad.fill(0)
         self._flat_grad[action + self._grad_at] = grad
@@ -187,18 +171,26 @@ class GradientStep:
         mean *= 1 / self._size
         return mean
 
+    def _run_forward(self) -> None:
+        """Values of s by the online network and of s' by the target, in `_forward.q`."""
+        np.copyto(self._forward.inputs, self._states)
+        self._forward.run()
+
+    def _next_online_q(self) -> FloatArray | None:
+        """Values of s' by the online network, by which double DQN chooses; None without it."""
+        if self._chooser is None:
+            return None
+        self._chooser.inputs[:, 0] = self._forward.inputs[:, 1]
+        self._chooser.run()
+        return self._chooser.q[:, 0]
+
     def _targets(self) -> FloatArray:
         """TD targets of the batch, shape (n, B)."""
         rewards = self._batch[:, :, self._layout.reward]
         if not self._discount:
             return rewards
-        target_q = self._forward.q[:, 1]
-        if self._chooser is None:
-            values = dqn_values(target_q)
-        else:
-            self._chooser.inputs[:, 0] = self._forward.inputs[:, 1]
-            self._chooser.run()
-            values = double_dqn_values(self._chooser.q[:, 0], target_q)
+        target_q, by = self._forward.q[:, 1], self._next_online_q()
+        values = dqn_values(target_q) if by is None else double_dqn_values(by, target_q)
         terminal = self._batch[:, :, self._layout.terminal]
         return td_target(rewards, terminal, values, self._discount)
 

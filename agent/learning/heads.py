@@ -42,26 +42,14 @@ class Heads:
         return np.cumsum((0, *self.sizes[:-1]), dtype=np.intp)
 
     def best(self, q: FloatArray) -> NDArray[np.int64]:
-        """Each head's best action.
-
-        Args:
-            q: values of all actions, shape (..., actions).
-
-        Returns:
-            Actions, each counted from its head's first, shape (..., H).
-        """
+        """Each head's best action, from its head's first on, (..., H) of values (..., actions)."""
         parts = np.split(q, self.starts[1:], axis=-1)
         return np.stack([part.argmax(axis=-1) for part in parts], axis=-1)
 
     def values(self, target_q: FloatArray, chooser_q: FloatArray | None = None) -> FloatArray:
-        """Each head's value of the next state, as `dqn_values` or, with a chooser, double DQN's.
+        """Each head's value of the next state, (H, B): `dqn_values`, with a chooser double DQN's.
 
-        Args:
-            target_q: the target network's values of s', shape (actions, B).
-            chooser_q: the online network's, same shape.
-
-        Returns:
-            Values, shape (H, B).
+        The target network's values of s' and the online one's have shape (actions, B).
         """
         if chooser_q is None:
             values: FloatArray = np.maximum.reduceat(target_q, self.starts, axis=0)
@@ -118,16 +106,10 @@ class HeadRows:
         active: ArrayLike,
         out: FloatArray,
     ) -> None:
-        """Writes transitions into rows.
+        """Writes transitions into the rows `out`, shape (..., width).
 
-        Args:
-            observations: shape (..., inputs).
-            actions: of each head, shape (..., H).
-            rewards: of each, shape (..., H).
-            next_observations: shape (..., inputs).
-            terminal: whether each head's part has ended, shape (..., H).
-            active: whether each had something to decide, shape (..., H).
-            out: the rows to fill, shape (..., width).
+        Observations have shape (..., inputs), all else (..., H), of each head: its action, its
+        reward, whether its part has ended and whether it had something to decide.
         """
         out[..., : self.inputs] = observations
         out[..., self.inputs : 2 * self.inputs] = next_observations

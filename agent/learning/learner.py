@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -25,21 +24,12 @@ from agent.exploration import GREEDY
 from agent.learning.buffers import Workspace, aligned_zeros
 from agent.learning.gradients import GradientStep
 from agent.networks.mlp import FloatArray, NetworkShape, forward
-from agent.replay.prioritised import ImportanceWeights
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 
 _BETAS = (0.9, 0.999)
 _EPSILON = 1e-8
 _MOST_ABREAST = 8
 """Agents in one product: more no longer save anything and outgrow a core's cache (measured)."""
-
-
-class Gradients(Protocol):
-    """What computes the gradient of neighbouring agents on the batch that stands in its place."""
-
-    def run(self) -> FloatArray:
-        """Puts the gradient in its place; returns each agent's mean loss, shape (n,)."""
-        ...
 
 
 class Learner:
@@ -51,7 +41,6 @@ class Learner:
         steps: updates each agent has taken, shape (n,).
         proximal_reference: the weights to which FedProx pulls, shape (n, P).
         batch: the sampled transitions' place, shape (n, B, row width).
-        weighing: what each of them weighs, and their errors; None without priorities.
     """
 
     def __init__(
@@ -63,18 +52,18 @@ class Learner:
         proximal_mu: float = 0.0,
         width: int | None = None,
     ) -> None:
-        """Reserves the agents' rows, all zero.
+        """Reserves the rows of n agents, all zero.
 
         Args:
             shape: of each agent's network.
             config: how they learn.
-            discount: at least 0 and below 1.
+            discount: at least 0; 0 spares the forward of next states.
             agents: n.
             proximal_mu: FedProx's mu; 0 leaves the term out.
             width: of a transition's row; that of `RowLayout` if None.
         """
         self._shape, self._config, self._discount = shape, config, discount
-        self._mu, self._head = proximal_mu, shape.head
+        self._mu = proximal_mu
         size = shape.parameters
         self._weights = _rows(agents, 2, size)
         self._moments = _rows(agents, 2, size)
@@ -87,10 +76,6 @@ class Learner:
         self.proximal_reference: FloatArray = _rows(agents, 1, size)[:, 0].numpy()
         width = width or RowLayout(shape.inputs).width
         self.batch: FloatArray = aligned_zeros(agents, config.batch_size, width).numpy()
-        self.weighing: ImportanceWeights | None = None
-        if config.priority.alpha:
-            each = (aligned_zeros(agents, config.batch_size).numpy() for _ in range(2))
-            self.weighing = ImportanceWeights(*each)
         self._online = list(self._weights[:, 0])
         self._gradients = list(self._gradient[:, 0])
         self._first, self._second = list(self._moments[:, 0]), list(self._moments[:, 1])
@@ -98,7 +83,7 @@ class Learner:
         self._layers = shape.views(self.weights[:, 0])
         passes = 2 if discount else 1
         self._scratch = Workspace(shape, config, passes, min(agents, _MOST_ABREAST))
-        self._spans: dict[tuple[int, int], Gradients] = {}
+        self._planned: dict[tuple[int, int], GradientStep] = {}
 
     def update(self, learning: Sequence[bool]) -> FloatArray:
         """Takes one gradient step of the chosen agents on their part of `batch`.
@@ -111,10 +96,10 @@ class Learner:
         """
         losses = np.full(len(self._online), np.nan, np.float32)
         for start, stop in contiguous_runs(learning, _MOST_ABREAST):
-            span = self._spans.get((start, stop))
-            if span is None:
-                span = self._spans[start, stop] = self._new_span(start, stop)
-            losses[start:stop] = span.run()
+            step = self._planned.get((start, stop))
+            if step is None:
+                step = self._planned[start, stop] = self._plan(start, stop)
+            losses[start:stop] = step.run()
             if self._mu:
                 pull = self.weights[start:stop, 0] - self.proximal_reference[start:stop]
                 pull *= self._mu
@@ -137,10 +122,11 @@ class Learner:
         """
         greedy = choices == GREEDY
         if greedy.any():
-            q = forward(self._layers, observations, self._head)
+            q = forward(self._layers, observations)
             np.copyto(choices, q.argmax(axis=-1), where=greedy, casting="same_kind")
 
-    def _new_span(self, start: int, stop: int) -> Gradients:
+    def _plan(self, start: int, stop: int) -> GradientStep:
+        """Plans the gradient step of the agents [start, stop)."""
         part = slice(start, stop)
         return GradientStep(
             self._shape,
@@ -150,7 +136,6 @@ class Learner:
             self._gradient[part, 0],
             self.batch[part],
             self._scratch,
-            self.weighing and self.weighing.part(start, stop),
         )
 
     def _descend(self, start: int, stop: int) -> None:
@@ -193,15 +178,7 @@ class Learner:
 
 
 def learning_rate_at(config: AgentConfig, updates: int) -> float:
-    """The learning rate, falling linearly and then constant, or constant from the first.
-
-    Args:
-        config: how an agent learns.
-        updates: that it has taken.
-
-    Returns:
-        Alpha of its next update.
-    """
+    """Alpha after so many updates of an agent: falling linearly and then constant, or constant."""
     if config.learning_rate_end is None:
         return config.learning_rate
     share = min(updates / config.learning_rate_updates, 1.0)
@@ -209,14 +186,9 @@ def learning_rate_at(config: AgentConfig, updates: int) -> float:
 
 
 def contiguous_runs(chosen: Sequence[bool], most: int) -> Iterator[tuple[int, int]]:
-    """Runs [start, stop) of chosen agents that stand side by side.
+    """Runs [start, stop) of chosen agents that stand side by side, first to last.
 
-    Args:
-        chosen: a flag per agent.
-        most: agents in a run; longer ones are cut into even parts.
-
-    Yields:
-        The runs, first to last.
+    Runs of more than `most` are cut into even parts.
     """
     start = None
     for agent, flag in enumerate([*chosen, False]):

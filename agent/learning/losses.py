@@ -10,11 +10,7 @@ from agent.networks.mlp import FloatArray
 def dqn_values(target_q: FloatArray) -> FloatArray:
     """Value of the next state, max_a Q_target(s', a): Mnih et al., Nature 518 (2015).
 
-    Args:
-        target_q: the target network's values of s', shape (n, actions, B).
-
-    Returns:
-        Values, shape (n, B).
+    Shape (n, B) of the target network's values of s', shape (n, actions, B).
     """
     values: FloatArray = np.maximum.reduce(target_q, axis=1)
     return values
@@ -24,14 +20,7 @@ def double_dqn_values(online_q: FloatArray, target_q: FloatArray) -> FloatArray:
     """Value of the next state, Q_target(s', argmax_a Q_online(s', a)).
 
     van Hasselt, Guez and Silver, "Deep reinforcement learning with double Q-learning",
-    AAAI 2016, Eq. (4).
-
-    Args:
-        online_q: the online network's values of s', shape (n, actions, B).
-        target_q: the target network's values of s', same shape.
-
-    Returns:
-        Values, shape (n, B).
+    AAAI 2016, Eq. (4). Shape (n, B) of both networks' values of s', shapes (n, actions, B).
     """
     best = np.argmax(online_q, axis=1)
     values: FloatArray = np.take_along_axis(target_q, best[:, None], axis=1)[:, 0]
@@ -39,22 +28,15 @@ def double_dqn_values(online_q: FloatArray, target_q: FloatArray) -> FloatArray:
 
 
 def td_target(
-    rewards: FloatArray,
-    terminal: FloatArray,
-    next_values: FloatArray,
-    discount: float | FloatArray,
+    rewards: FloatArray, terminal: FloatArray, next_values: FloatArray, discount: float | FloatArray
 ) -> FloatArray:
     """Target r + discount (1 - terminal) V(s'): a terminal transition does not bootstrap.
 
     Args:
-        rewards: shape (n, B).
-        terminal: 1 where the episode ended for good, else 0, or between for a return of several
-            slots (`agent.replay.uniform.RowLayout`), shape (n, B).
+        rewards: shape (n, B), as the targets.
+        terminal: 1 where the episode ended for good, else 0, shape (n, B).
         next_values: V(s'), shape (n, B).
         discount: at least 0 and below 1, or one of each n, shape (n, 1).
-
-    Returns:
-        Targets y, shape (n, B).
     """
     target = 1 - terminal
     target *= next_values

@@ -17,14 +17,11 @@ and learning rates with which nothing is learned.
 
 
 def check_weights(weights: NDArray[np.float32], said: str) -> None:
-    """Refuses absurd weights.
-
-    Args:
-        weights: of any shape, not empty.
-        said: how the message begins, such as "the global model holds absurd weights".
+    """Refuses absurd weights, an array that is not empty.
 
     Raises:
-        ValueError: a weight is not finite or beyond ``WEIGHT_LIMIT``; the message has the value.
+        ValueError: a weight is not finite or beyond ``WEIGHT_LIMIT``; the message begins as `said`
+            and has the value.
     """
     if not (largest := magnitude(weights)) <= WEIGHT_LIMIT:
         raise ValueError(

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.networks.dueling import DuelingHead
-
 if TYPE_CHECKING:
     import torch
 
@@ -26,28 +24,16 @@ Rows = TypeVar("Rows", FloatArray, "torch.Tensor")
 
 @dataclass(frozen=True)
 class NetworkShape:
-    """Sizes of a multilayer perceptron with ReLU between its layers.
-
-    With ``dueling`` the last layer has one output more, the value of the state, and what it says
-    of an action is that action's advantage (see `agent.dueling`).
-    """
+    """Sizes of a multilayer perceptron with ReLU between its layers."""
 
     inputs: int
     hidden: tuple[int, ...]
     actions: int
-    dueling: bool = False
-
-    @property
-    def head(self) -> DuelingHead | None:
-        """What makes action values of the last layer's outputs; None: they are."""
-        return DuelingHead(self.actions) if self.dueling else None
 
     @property
     def layers(self) -> list[tuple[int, int]]:
         """(inputs, outputs) of each layer, first to last."""
-        head = self.head
-        last = self.actions if head is None else head.outputs
-        return list(pairwise((self.inputs, *self.hidden, last)))
+        return list(pairwise((self.inputs, *self.hidden, self.actions)))
 
     @property
     def parameters(self) -> int:
@@ -55,10 +41,7 @@ class NetworkShape:
         return sum((inputs + 1) * outputs for inputs, outputs in self.layers)
 
     def matrices(self, flat: Rows) -> list[Rows]:
-        """Each layer's weights with the bias as last row.
-
-        Args:
-            flat: networks' rows, NumPy or torch, shape (..., P).
+        """Each layer's weights with the bias as last row, of rows of shape (..., P).
 
         Returns:
             Views of shape (..., inputs + 1, outputs), one per layer.
@@ -72,10 +55,7 @@ class NetworkShape:
         return found
 
     def views(self, flat: Rows) -> list[tuple[Rows, Rows]]:
-        """Each layer's weights and bias.
-
-        Args:
-            flat: networks' rows, NumPy or torch, shape (..., P).
+        """Each layer's weights and bias, of rows of shape (..., P).
 
         Returns:
             Views (W, b) of shapes (..., inputs, outputs) and (..., outputs), one pair per layer.
@@ -83,14 +63,7 @@ class NetworkShape:
         return [(matrix[..., :-1, :], matrix[..., -1, :]) for matrix in self.matrices(flat)]
 
     def initial_weights(self, generator: np.random.Generator) -> FloatArray:
-        """Draws a network as ``torch.nn.Linear`` does: U(-1/sqrt(inputs), 1/sqrt(inputs)).
-
-        Args:
-            generator: the only source of randomness.
-
-        Returns:
-            The network's row, shape (P,).
-        """
+        """Draws a row, (P,), as ``torch.nn.Linear`` does: U(-1/sqrt(inputs), 1/sqrt(inputs))."""
         flat = np.empty((1, self.parameters), np.float32)
         for matrix in self.matrices(flat):
             bound = 1 / np.sqrt(matrix.shape[1] - 1)
@@ -104,7 +77,7 @@ class NetworkShape:
 
 
 def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray) -> FloatArray:
-    """Action values of several networks, each on its own observations.
+    """Action values Q(s, a) of several networks, each on its own observations; (n, B, actions).
 
     Everything that acts or evaluates goes through here, so that the last bits agree. A network
     gives the same bits whether others stand beside it or not.
@@ -113,28 +86,14 @@ def q_values(shape: NetworkShape, weights: FloatArray, observations: FloatArray)
         shape: sizes of the networks.
         weights: the networks' rows, shape (n, P).
         observations: shape (n, B, inputs).
-
-    Returns:
-        Q(s, a), shape (n, B, actions).
     """
-    return forward(shape.views(weights), observations, shape.head)
+    return forward(shape.views(weights), observations)
 
 
 def forward(
-    layers: Sequence[tuple[FloatArray, FloatArray]],
-    observations: FloatArray,
-    head: DuelingHead | None = None,
+    layers: Sequence[tuple[FloatArray, FloatArray]], observations: FloatArray
 ) -> FloatArray:
-    """The same as `q_values`, on views that the caller has kept.
-
-    Args:
-        layers: what `NetworkShape.views` gave.
-        observations: shape (n, B, inputs).
-        head: `NetworkShape.head`.
-
-    Returns:
-        Q(s, a), shape (n, B, actions).
-    """
+    """The same as `q_values`, on views that the caller has kept: what `NetworkShape.views` gave."""
     x = observations
     last = len(layers) - 1
     for depth, (weight, bias) in enumerate(layers):
@@ -142,4 +101,4 @@ def forward(
         x += bias[:, None]
         if depth < last:
             np.maximum(x, 0, out=x)
-    return x if head is None else head.action_values(x, axis=-1)
+    return x

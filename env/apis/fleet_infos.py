@@ -1,4 +1,4 @@
-"""What the infos of the fleet's environment hold of a slot."""
+"""What the infos of environments hold of a slot."""
 
 from __future__ import annotations
 
@@ -8,57 +8,63 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Complexes
 from env.world import StepResult, World
 
 AP = "ap"
 """The access point's name among the agents."""
 
 Infos = dict[str, dict[str, Any]]
+Columns = dict[str, NDArray[Any]]
+"""Values of infos by name: a row for each world, of all its robots or of the one that is seen."""
 
 
-class FleetInfos:
-    """Infos by agent, for a world of one copy.
+def slot_columns(world: World, channel: Complexes, outcome: StepResult | None) -> Columns:
+    """What robots' infos hold, by name, each of shape (B, K).
 
     Args:
-        world: the world.
-        robots: their names.
-        masks: whether infos tell which actions count, and which robots are driving.
+        world: B worlds after the slot.
+        channel: h_k in the slot, shape (B, K).
+        outcome: what the slot brought; None after a reset, when nothing has been sent.
     """
+    nothing, never = np.zeros(world.cell.shape), np.zeros(world.cell.shape, dtype=bool)
+    sent = outcome.allocation if outcome else None
+    return {
+        "rate": outcome.rate if outcome else nothing,
+        "power_w": sent.power_w if sent else nothing,
+        "gain_db": 20.0 * np.log10(np.abs(channel)),
+        "sic_failed": sent.sic_failed if sent else never,
+        "arrived": outcome.arrived if outcome else never,
+        "shortest_slots": world.shortest_slots,
+    }
 
-    def __init__(self, world: World, robots: Sequence[str], *, masks: bool) -> None:
-        self._world, self._robots, self._masks = world, robots, masks
 
-    def of(self, channel: NDArray[np.complex128], outcome: StepResult | None = None) -> Infos:
-        """The infos of a slot, with h_k in it, shape (K,); of none after a reset."""
-        nothing = np.zeros(len(self._robots))
-        sent = outcome.allocation if outcome else None
-        columns = {
-            "rate": outcome.rate[0] if outcome else nothing,
-            "power_w": sent.power_w[0] if sent else nothing,
-            "gain_db": 20.0 * np.log10(np.abs(channel)),
-            "sic_failed": sent.sic_failed[0] if sent else nothing.astype(bool),
-            "arrived": outcome.arrived[0] if outcome else nothing.astype(bool),
-            "shortest_slots": self._world.shortest_slots[0],
-        }
-        infos: Infos = {
-            name: {key: column[k].item() for key, column in columns.items()}
-            for k, name in enumerate(self._robots)
-        }
-        infos[AP] = {
-            "sum_rate": float(columns["rate"].sum()),
-            "projected": bool(sent.projected[0]) if sent else False,
-            "margin_dropped": bool(sent.margin_dropped[0]) if sent else False,
-        }
-        if self._masks:
-            self._mask(infos)
-        return infos
+def fleet_infos(
+    world: World,
+    robots: Sequence[str],
+    channel: Complexes,
+    outcome: StepResult | None = None,
+    *,
+    masks: bool = False,
+) -> Infos:
+    """Infos by agent, for a world of one copy; arguments as of ``slot_columns``.
 
-    def _mask(self, infos: Infos) -> None:
-        """Adds the actions that count for each agent, and which robots are driving."""
-        world = self._world
+    With ``masks`` they tell which actions count, and which robots are driving.
+    """
+    columns = slot_columns(world, channel, outcome)
+    infos: Infos = {
+        name: {key: column[0, k].item() for key, column in columns.items()}
+        for k, name in enumerate(robots)
+    }
+    infos[AP] = {
+        "sum_rate": float(columns["rate"][0].sum()),
+        "projected": bool(outcome.allocation.projected[0]) if outcome else False,
+        "margin_dropped": bool(outcome.allocation.margin_dropped[0]) if outcome else False,
+    }
+    if masks:
         infos[AP]["action_mask"] = np.ones(world.phase_actions, dtype=np.int8)
-        for name, driving in zip(self._robots, world.driving[0].tolist(), strict=True):
+        for name, driving in zip(robots, world.driving[0].tolist(), strict=True):
             mask = np.ones(world.scenario.actions.count, dtype=np.int8)
-            if not driving:
-                mask[1:] = 0
+            mask[1:] = driving
             infos[name] |= {"action_mask": mask, "driving": driving}
+    return infos

@@ -10,9 +10,10 @@ from gymnasium import logger, spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
 
-from env.apis.fleet_infos import AP, FleetInfos, Infos
+from env.apis.fleet_infos import AP, Infos, fleet_infos
 from env.apis.observation_spaces import ap_space, robot_space
 from env.apis.starts import start_cells, starts_asked
+from env.arrays import Complexes, Floats32, Ints
 from env.checks import checked_config, refuse
 from env.config import EnvConfig
 from env.mdp import lateness
@@ -21,9 +22,9 @@ from env.seeding import Stream, stream
 from env.world import StepResult, World
 
 if TYPE_CHECKING:
-    from env.rendering.frames import Picture
+    from env.rendering.drawing import Picture
 
-Observations = dict[str, NDArray[np.float32]]
+Observations = dict[str, Floats32]
 
 
 class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
@@ -159,11 +160,10 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.possible_agents = [*self.robots, AP]
         self.agents: list[str] = []
         self._centres_m = self.world.floor.centres()
-        self._way: list[NDArray[np.int64]] = []
+        self._way: list[Ints] = []
         self._outcome: StepResult | None = None
         self._picture: Picture | None = None
         self._make_spaces()
-        self._infos = FleetInfos(self.world, self.robots, masks=absorbing)
 
     def _make_spaces(self) -> None:
         world, encoder = self.world, self.world.observer
@@ -182,7 +182,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         """The agent's actions; the same object at each call."""
         return self.action_spaces[agent]
 
-    def state(self) -> NDArray[np.float32]:
+    def state(self) -> Floats32:
         """What the access point sees, s_G, shape (global_size,)."""
         return np.asarray(self.world.global_observation()[0])
 
@@ -201,7 +201,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.world.reset(cell)
         self.agents = list(self.possible_agents)
         self._way, self._outcome = [self.world.cell[0]], None
-        return self._observations(), self._infos.of(self.world.direct[0])
+        return self._observations(), self._infos(self.world.direct)
 
     def step(
         self, actions: Mapping[str, Any]
@@ -218,7 +218,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         live = self.agents
         picks = np.array([[self._action(name, actions) for name in self.robots]])
         phase = np.array([self._action(AP, actions)])
-        channel = self.world.channel(phase)[0]
+        channel = self.world.channel(phase)
         outcome = self.world.step(phase, *self.world.scenario.actions.decode(picks))
         self._way.append(self.world.cell[0])
         self._outcome = outcome
@@ -229,7 +229,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         paid = dict(zip(self.robots, outcome.local_reward[0].tolist(), strict=True))
         paid[AP] = float(outcome.global_reward[0])
         out_of_time = bool(outcome.truncated[0])
-        seen, infos = self._observations(), self._infos.of(channel, outcome)
+        seen, infos = self._observations(), self._infos(channel, outcome)
         self.agents = [name for name in live if not (ended[name] or out_of_time)]
         return (
             {name: seen[name] for name in live},
@@ -249,6 +249,9 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
             allowed = f"a whole number from 0 to {space.n - 1}"
             raise ValueError(f"action of {agent}={action!r}: allowed is {allowed}")
         return int(action)
+
+    def _infos(self, channel: Complexes, outcome: StepResult | None = None) -> Infos:
+        return fleet_infos(self.world, self.robots, channel, outcome, masks=self.absorbing)
 
     def _observations(self) -> Observations:
         local = self.world.local_observations()
@@ -276,7 +279,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
                 f"{name} at {at} m, to {goal} m, {r:.2f} bit/s/Hz" for name, at, goal, r in rows
             )
             return "\n".join((title, *lines))
-        from env.rendering.frames import Picture  # matplotlib: only where somebody looks
+        from env.rendering.drawing import Picture  # matplotlib: only where somebody looks
 
         self._picture = self._picture or Picture(self.world)
         return self._picture.frame(ways_m, goals_m, title)

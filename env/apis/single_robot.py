@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from env.apis.fleet_infos import AP, Infos
 from env.apis.parallel_env import RISFleetParallelEnv
+from env.arrays import Floats32, Ints
 from env.checks import checked_config
 from env.config import EnvConfig
 from env.oracles import per_slot
@@ -24,7 +25,7 @@ NO_PHASE = -1
 """The info ``phase`` after a reset, before the access point has taken one."""
 
 
-class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
+class SingleRobotEnv(gymnasium.Env[Floats32, np.int64]):
     r"""Drive one robot to its destination and pick its downlink power, with the RIS at its best.
 
     ## Description
@@ -131,7 +132,7 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Floats32, dict[str, Any]]:
         """Begins an episode; ``starts_m`` in the options is in m, shape (K, 2).
 
         Raises:
@@ -142,9 +143,7 @@ class SingleRobotEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         observations, infos = self._fleet.reset(options=options)
         return observations[ROBOT], _info(infos, NO_PHASE)
 
-    def step(
-        self, action: np.int64
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64) -> tuple[Floats32, float, bool, bool, dict[str, Any]]:
         """One slot of the robot, and of all around it."""
         if ROBOT not in self._fleet.agents:
             raise ResetNeeded("the episode is over or has not begun: call reset")
@@ -185,14 +184,8 @@ def config_with(others: str, config: EnvConfig | Mapping[str, Any] | None) -> En
     return config
 
 
-def everybodys_actions(
-    world: World, action: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """What is done in B worlds where robot 0 is the agent and oracles play all else.
-
-    Args:
-        world: B worlds; not changed.
-        action: robot 0's, shape (B,).
+def everybodys_actions(world: World, action: Ints) -> tuple[Ints, Ints, Ints]:
+    """What is done in B worlds where robot 0 takes the actions (B,) and oracles play all else.
 
     Returns:
         The phases, shape (B,), and all robots' directions and power levels, shape (B, K).

@@ -13,18 +13,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from env.apis.fleet_infos import Columns, slot_columns
 from env.apis.observation_spaces import robot_space
 from env.apis.single_robot import NO_PHASE, config_with, everybodys_actions
 from env.apis.starts import start_cells, starts_asked
-from env.apis.vector_rules import (
-    Columns,
-    Infos,
-    checked_mode,
-    final_infos,
-    infos_of,
-    reset_mask,
-    seeds,
-)
+from env.apis.vector_rules import Infos, checked_mode, final_infos, infos_of, reset_mask, seeds
+from env.arrays import Bools, Complexes, Floats, Floats32, Ints
 from env.checks import refuse
 from env.config import EnvConfig
 from env.mdp import lateness
@@ -32,11 +26,11 @@ from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import StepResult, World
 
-Observations = NDArray[np.float32]
-Slot = tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Infos]
+Observations = Floats32
+Slot = tuple[Observations, Floats, Bools, Bools, Infos]
 
 
-class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[Any]]):
+class SingleRobotVectorEnv(VectorEnv[Observations, Ints, NDArray[Any]]):
     """``num_envs`` times ``SingleRobotEnv``, as one batch of worlds.
 
     Number i gives the observations, rewards, ends and infos of the single environment with the
@@ -131,7 +125,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         self._begun, self._ended = True, self._ended & ~begun
         return self._seen(), infos_of(self._columns(), begun)
 
-    def step(self, actions: NDArray[np.int64]) -> Slot:
+    def step(self, actions: Ints) -> Slot:
         """One slot of each environment; shapes (num_envs, size) and (num_envs,).
 
         Raises:
@@ -166,15 +160,13 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         infos.update(infos_of(columns, everywhere))
         return self._seen(), outcome.local_reward[:, 0].copy(), terminated, truncated, infos
 
-    def _slot(
-        self, actions: NDArray[np.int64], waiting: NDArray[np.bool_]
-    ) -> tuple[Columns, StepResult]:
+    def _slot(self, actions: Ints, waiting: Bools) -> tuple[Columns, StepResult]:
         """A slot in all worlds but those that wait for their reset, with its infos."""
         world = self.world
         if waiting.any():
             world.driving = world.driving & ~waiting[:, None]
         phase, direction, level = everybodys_actions(world, actions)
-        channel = self._channel(phase)
+        channel = world.channel(phase)
         idle = [self._sources[i].bit_generator for i in np.flatnonzero(waiting & self._draws)]
         states = [source.state for source in idle]
         outcome = world.step(phase, direction, level)
@@ -182,32 +174,19 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
             source.state = state  # fading was drawn for a slot that its episode does not have
         return self._columns(channel, outcome, phase), outcome
 
-    def _channel(self, phase: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """The robot's h in each world, shape (num_envs,)."""
-        world = self.world
-        channel = world.radio_map.channel(world.cell[:, :1], phase, world.direct[:, :1])
-        return channel[:, 0]
-
     def _columns(
         self,
-        channel: NDArray[np.complex128] | None = None,
+        channel: Complexes | None = None,
         outcome: StepResult | None = None,
-        phase: NDArray[np.int64] | None = None,
+        phase: Ints | None = None,
     ) -> Columns:
         """The infos of a slot, each of shape (num_envs,); without one, those of a reset."""
-        world = self.world
-        if channel is None:
-            channel = world.direct[:, 0]
-        nothing = np.zeros(self.num_envs)
-        sent = outcome.allocation if outcome else None
+        columns = slot_columns(
+            self.world, self.world.direct if channel is None else channel, outcome
+        )
         return {
-            "rate": outcome.rate[:, 0] if outcome else nothing,
-            "power_w": sent.power_w[:, 0] if sent else nothing,
-            "gain_db": 20.0 * np.log10(np.abs(channel)),
-            "sic_failed": sent.sic_failed[:, 0] if sent else nothing.astype(bool),
-            "arrived": outcome.arrived[:, 0] if outcome else nothing.astype(bool),
-            "shortest_slots": world.shortest_slots[:, 0],
-            "sum_rate": outcome.rate.sum(axis=-1) if outcome else nothing,
+            **{name: column[:, 0] for name, column in columns.items()},
+            "sum_rate": columns["rate"].sum(axis=-1),
             "phase": np.full(self.num_envs, NO_PHASE) if phase is None else phase,
         }
 
@@ -215,7 +194,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         """What each environment's robot sees."""
         return self.world.local_observations()[:, 0].copy()
 
-    def _begin(self, begun: NDArray[np.bool_], cell: NDArray[np.int64] | None = None) -> None:
+    def _begin(self, begun: Bools, cell: Ints | None = None) -> None:
         """Begins an episode in some worlds, from the cells given, shape (K,), or drawn ones."""
         rows = np.flatnonzero(begun)
         start = np.tile(cell, (len(rows), 1)) if cell is not None else self._drawn(rows)
@@ -224,7 +203,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
         else:
             self.world.restart(begun, start, [self._sources[i] for i in rows])
 
-    def _drawn(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _drawn(self, rows: Ints) -> Ints:
         """Starts in some worlds, each from its own source, shape (rows, K)."""
         drawn = []
         for i in rows:
@@ -232,7 +211,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, NDArray[np.int64], NDArray[An
             drawn.append(self.world.draw_starts(1))
         return np.concatenate(drawn)
 
-    def _seed(self, seeds: Sequence[int | None], begun: NDArray[np.bool_] | None = None) -> None:
+    def _seed(self, seeds: Sequence[int | None], begun: Bools | None = None) -> None:
         """Makes the generators of environments that have none, and of those with a new seed."""
         for i, seed in enumerate(seeds):
             known = i < len(self._sources)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Ints
 from env.geometry.floor import UNREACHABLE
 from env.world import World
 
@@ -29,12 +29,8 @@ def starts_asked(options: Mapping[str, Any] | None) -> Any:
     return (options or {}).get("starts_m")
 
 
-def start_cells(world: World, starts_m: Any) -> NDArray[np.int64]:
-    """The cells of starts, shape (K,).
-
-    Args:
-        world: in which robots are to start there.
-        starts_m: positions in m, which should be numbers of shape (K, 2).
+def start_cells(world: World, starts_m: Any) -> Ints:
+    """The cells of starts, positions in m that should be numbers of shape (K, 2); shape (K,).
 
     Raises:
         ValueError: no robot, or not all of them, can start there.

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
-Columns = dict[str, NDArray[Any]]
-"""Infos by name, each of shape (num_envs,)."""
+from env.apis.fleet_infos import Columns
+from env.arrays import Bools, Floats32
+
 Infos = dict[str, Any]
 MASK = "reset_mask"
 
@@ -30,7 +30,7 @@ def checked_mode(autoreset_mode: AutoresetMode | str) -> AutoresetMode:
 
 def reset_mask(
     options: Mapping[str, Any] | None, count: int
-) -> tuple[NDArray[np.bool_], Mapping[str, Any] | None]:
+) -> tuple[Bools, Mapping[str, Any] | None]:
     """Which of the environments a reset begins anew, shape (count,), and the other options.
 
     Raises:
@@ -61,15 +61,16 @@ def seeds(seed: int | Sequence[int | None] | None, count: int) -> Sequence[int |
     return seed
 
 
-def infos_of(columns: Columns, there: NDArray[np.bool_]) -> Infos:
-    """Infos of some environments, zeros in the others; ``_name`` says which have them."""
+def infos_of(columns: Columns, there: Bools) -> Infos:
+    """Infos of some environments, zeros in the others, shapes (num_envs,).
+
+    ``_name`` says which have them.
+    """
     columns = {name: np.where(there, all_, np.zeros_like(all_)) for name, all_ in columns.items()}
     return {**columns, **{f"_{name}": there.copy() for name in columns}}
 
 
-def final_infos(
-    observations: NDArray[np.float32], columns: Columns, ended: NDArray[np.bool_]
-) -> Infos:
+def final_infos(observations: Floats32, columns: Columns, ended: Bools) -> Infos:
     """Of a step that resets what it ends: the last observations and infos of what it ended."""
     last = np.full(len(ended), None, dtype=object)
     for i in np.flatnonzero(ended):

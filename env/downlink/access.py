@@ -7,28 +7,24 @@ are served have power 0, add nothing, and get rate 0. OMA knows no ranks: any or
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from env.arrays import Bools, Floats, Ints
 
 
-def decoding_order(gain: NDArray[np.float64], served: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The robots from the strongest channel to the weakest, |h_1| >= ... >= |h_K|.
+def decoding_order(gain: Floats, served: Bools) -> Ints:
+    """The robots from the strongest channel to the weakest, |h_1| >= ... >= |h_K|, shape (..., K).
 
-    Args:
-        gain: |h_k|^2, shape (..., K).
-        served: whether a robot is served in this slot, shape (..., K).
-
-    Returns:
-        Robot at each rank, shape (..., K); ties by robot index, robots not served last.
+    Ties go by the robots' index, and robots that are not ``served`` come last; ``gain`` is |h_k|^2.
     """
     return np.where(served, -gain, np.inf).argsort(axis=-1, kind="stable")
 
 
-def ranks(gain: NDArray[np.float64], served: NDArray[np.bool_]) -> NDArray[np.int64]:
+def ranks(gain: Floats, served: Bools) -> Ints:
     """Each robot's rank in ``decoding_order``, 0 the strongest, shape (..., K)."""
     return np.argsort(decoding_order(gain, served), axis=-1)
 
 
-def sic_margins(gain: NDArray[np.float64], power_w: NDArray[np.float64]) -> NDArray[np.float64]:
+def sic_margins(gain: Floats, power_w: Floats) -> Floats:
     """Delta_k of Eq. (2): how far signal k stands out at robot k-1.
 
     Args:
@@ -42,12 +38,7 @@ def sic_margins(gain: NDArray[np.float64], power_w: NDArray[np.float64]) -> NDAr
     return np.asarray((power_w[..., 1:] - stronger) * gain[..., :-1])
 
 
-def sic_failures(
-    gain: NDArray[np.float64],
-    power_w: NDArray[np.float64],
-    served: NDArray[np.bool_],
-    margin_w: float,
-) -> NDArray[np.bool_]:
+def sic_failures(gain: Floats, power_w: Floats, served: Bools, margin_w: float) -> Bools:
     """Which signals break Eq. (2), so that stronger robots cannot cancel them.
 
     Args:
@@ -65,11 +56,8 @@ def sic_failures(
 
 
 def downlink_rates(
-    gain: NDArray[np.float64],
-    power_w: NDArray[np.float64],
-    noise_w: float,
-    residual: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
+    gain: Floats, power_w: Floats, noise_w: float, residual: Bools | None = None
+) -> Floats:
     """NOMA rates after successive interference cancellation, Eq. (3).
 
     Args:
@@ -89,12 +77,7 @@ def downlink_rates(
     return np.log2(1.0 + gain * power_w / (gain * interference + noise_w))
 
 
-def oma_rates(
-    gain: NDArray[np.float64],
-    power_w: NDArray[np.float64],
-    noise_w: float,
-    parts: NDArray[np.int64],
-) -> NDArray[np.float64]:
+def oma_rates(gain: Floats, power_w: Floats, noise_w: float, parts: Ints) -> Floats:
     """OMA rates, Baseline 2: R_k = (1/n) log2(1 + |h_k|^2 p_k / (sigma^2 / n)).
 
     Args:

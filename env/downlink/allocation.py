@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Ints
 from env.config import EnvConfig
 from env.downlink import access
 from env.downlink.power import Projection, fractions, scaled_to_budget
@@ -28,12 +29,12 @@ class Allocation(NamedTuple):
         margin_dropped: whether no feasible powers kept rho_min, shape (...).
     """
 
-    rate: NDArray[np.float64]
-    power_w: NDArray[np.float64]
-    order: NDArray[np.int64]
-    sic_failed: NDArray[np.bool_]
-    projected: NDArray[np.bool_]
-    margin_dropped: NDArray[np.bool_]
+    rate: Floats
+    power_w: Floats
+    order: Ints
+    sic_failed: Bools
+    projected: Bools
+    margin_dropped: Bools
 
 
 class Downlink:
@@ -57,18 +58,13 @@ class Downlink:
         self._least_gain = self.margin_w / self.max_power_w
         self._power_w = fractions(np.arange(power.levels + 1)) * self.max_power_w
 
-    def allocate(
-        self, gain: NDArray[np.float64], picks: NDArray[np.int64], served: NDArray[np.bool_]
-    ) -> Allocation:
-        """Orders the robots, resolves their picks and computes the rates.
+    def allocate(self, gain: Floats, picks: Ints, served: Bools) -> Allocation:
+        """Orders the robots, resolves their picks and computes the rates; arrays of shape (B, K).
 
         Args:
-            gain: |h_k|^2, shape (B, K).
-            picks: power levels 1..N_P, shape (B, K); of no effect under OMA.
-            served: whether a robot is served, shape (B, K).
-
-        Returns:
-            The allocation, arrays of shape (B, K).
+            gain: |h_k|^2.
+            picks: power levels 1..N_P; of no effect under OMA.
+            served: whether a robot is served.
         """
         if self._orthogonal:
             return self._allocate_parts(gain, served)
@@ -93,7 +89,7 @@ class Downlink:
             margin_dropped=sent.margin_dropped,
         )
 
-    def rates_without(self, gain: NDArray[np.float64], sent: Allocation) -> NDArray[np.float64]:
+    def rates_without(self, gain: Floats, sent: Allocation) -> Floats:
         """NOMA rates of a slot with the same powers but without the signal of one robot.
 
         Stronger robots than that one have cancelled its signal anyway; weaker ones lose its
@@ -119,7 +115,7 @@ class Downlink:
         )
         return rate
 
-    def _allocate_parts(self, gain: NDArray[np.float64], served: NDArray[np.bool_]) -> Allocation:
+    def _allocate_parts(self, gain: Floats, served: Bools) -> Allocation:
         """Baseline 2: equal parts of band and power, p_k = P_max / n, for each robot served."""
         rows, robots = gain.shape
         parts = np.full((rows, 1), robots)
@@ -136,7 +132,7 @@ class Downlink:
             margin_dropped=never,
         )
 
-    def _send(self, gain: NDArray[np.float64], picks: NDArray[np.int64]) -> _Sent:
+    def _send(self, gain: Floats, picks: Ints) -> _Sent:
         """Resolves picks, all in rank order, shape (B, K); picks are 0 where not served."""
         if self._projection is None:
             nowhere = np.zeros(len(picks), dtype=bool)
@@ -150,9 +146,7 @@ class Downlink:
             failed[dropped] = self._failures(gain, power_w, picks)[dropped]
         return _Sent(power_w, failed, changed, dropped)
 
-    def _failures(
-        self, gain: NDArray[np.float64], power_w: NDArray[np.float64], picks: NDArray[np.int64]
-    ) -> NDArray[np.bool_]:
+    def _failures(self, gain: Floats, power_w: Floats, picks: Ints) -> Bools:
         """Where Eq. (2) fails, by rank, shape (B, K)."""
         return access.sic_failures(gain, power_w, picks > 0, self.margin_w)
 
@@ -160,13 +154,13 @@ class Downlink:
 class _Sent(NamedTuple):
     """What is sent, in rank order, shape (B, K), and what became of the picks, shape (B,)."""
 
-    power_w: NDArray[np.float64]
-    failed: NDArray[np.bool_]
-    projected: NDArray[np.bool_]
-    margin_dropped: NDArray[np.bool_]
+    power_w: Floats
+    failed: Bools
+    projected: Bools
+    margin_dropped: Bools
 
 
-def _unranked(values: NDArray[_Value], place: NDArray[np.int64]) -> NDArray[_Value]:
+def _unranked(values: NDArray[_Value], place: Ints) -> NDArray[_Value]:
     """Values by rank, put back into robot order; ``place`` is each rank's flat index."""
     result = np.empty_like(values)
     result.put(place, values)

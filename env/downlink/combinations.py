@@ -13,8 +13,8 @@ from itertools import combinations, product
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Ints
 from env.config import EnvConfig
 from env.downlink import access
 
@@ -27,13 +27,8 @@ def count_combinations(config: EnvConfig, served: int) -> int:
     return comb(levels, served) if config.power.resolve == "project" else int(levels**served)
 
 
-def levels_by_rank(config: EnvConfig, robots: int, served: int) -> NDArray[np.int64]:
-    """All combinations, those of least power first.
-
-    Args:
-        config: the environment; ``access`` and ``power`` are read.
-        robots: K.
-        served: n, how many of them are served.
+def levels_by_rank(config: EnvConfig, robots: int, served: int) -> Ints:
+    """All combinations of n = ``served`` of K = ``robots`` robots, those of least power first.
 
     Returns:
         Levels at each rank, shape (C, K), not to be written to; 1 at ranks past the n-th.
@@ -44,7 +39,7 @@ def levels_by_rank(config: EnvConfig, robots: int, served: int) -> NDArray[np.in
 
 
 @lru_cache(maxsize=16)
-def _levels_by_rank(levels: int, robots: int, served: int, falls: bool) -> NDArray[np.int64]:
+def _levels_by_rank(levels: int, robots: int, served: int, falls: bool) -> Ints:
     falling = range(levels, 0, -1)
     chosen = list(combinations(falling, served) if falls else product(falling, repeat=served))
     ranked = np.ones((len(chosen), robots), dtype=np.int64)
@@ -53,9 +48,7 @@ def _levels_by_rank(levels: int, robots: int, served: int, falls: bool) -> NDArr
     return ranked
 
 
-def deal(
-    levels: NDArray[np.int64], gain: NDArray[np.float64], served: NDArray[np.bool_]
-) -> NDArray[np.int64]:
+def deal(levels: Ints, gain: Floats, served: Bools) -> Ints:
     """Deals levels by rank of |h_k|; n < K robots that are served take the last n of them.
 
     Args:

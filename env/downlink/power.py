@@ -8,28 +8,21 @@ r < count. Powers here are fractions of P_max: their sums are exact in floating 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Ints
 from env.downlink.power_search import project_levels
 
 MAX_TABLE = 50_000
 """Most picks for which the projection without margins is remembered."""
 
 
-def fractions(levels: NDArray[np.int64]) -> NDArray[np.float64]:
+def fractions(levels: Ints) -> Floats:
     """P / P_max = 2^-l of levels l >= 1, and 0 for level 0 (not served); same shape."""
     return np.asarray(np.where(levels > 0, np.exp2(-levels.astype(np.float64)), 0.0))
 
 
-def scaled_to_budget(fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Powers scaled down where their sum is over the budget, sum p_k <= P_max.
-
-    Args:
-        fraction: p_k / P_max, shape (..., K).
-
-    Returns:
-        The same, times 1 / sum where the sum is above 1.
-    """
+def scaled_to_budget(fraction: Floats) -> Floats:
+    """Powers p_k / P_max, shape (..., K), over their sum where it is above 1: sum p_k <= P_max."""
     return np.asarray(fraction / np.maximum(fraction.sum(axis=-1, keepdims=True), 1.0))
 
 
@@ -56,9 +49,7 @@ class Projection:
             self._changes = np.zeros(size, dtype=bool)
             self._gaps = np.zeros((size, robots - 1))
 
-    def __call__(
-        self, picks: NDArray[np.int64], least_gap: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+    def __call__(self, picks: Ints, least_gap: Floats) -> tuple[Ints, Bools, Bools]:
         """Projects picks in rank order.
 
         Args:
@@ -77,9 +68,7 @@ class Projection:
                 return levels, self._changes.take(index), np.zeros(len(picks), dtype=bool)
         return self._search(picks, least_gap)
 
-    def _search(
-        self, picks: NDArray[np.int64], least_gap: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+    def _search(self, picks: Ints, least_gap: Floats) -> tuple[Ints, Bools, Bools]:
         """As the call, where some picks are new, or a margin fails without being asked for."""
         levels, gaps = self._without_margin(picks)
         dropped = np.zeros(len(picks), dtype=bool)
@@ -93,9 +82,7 @@ class Projection:
             dropped[short] = ~feasible
         return levels, (levels != picks).any(axis=-1), dropped
 
-    def _without_margin(
-        self, picks: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _without_margin(self, picks: Ints) -> tuple[Ints, Floats]:
         """The nearest levels with no margin to keep, and their gaps; remembered where few."""
         if not self._remembers:
             levels, broken = picks.copy(), ~_fall(picks)
@@ -113,17 +100,17 @@ class Projection:
         return self._table.take(index, axis=0), self._gaps.take(index, axis=0)
 
 
-def _served(picks: NDArray[np.int64]) -> NDArray[np.int64]:
+def _served(picks: Ints) -> Ints:
     """How many ranks of each row are served, shape (B,)."""
     return np.asarray(np.count_nonzero(picks, axis=-1))
 
 
-def _fall(picks: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _fall(picks: Ints) -> Bools:
     """Rows that are feasible as they are, without margins: levels fall with the rank, (B,)."""
     return np.asarray(((picks[:, 1:] < picks[:, :-1]) | (picks[:, 1:] == 0)).all(axis=-1))
 
 
-def _gaps(levels: NDArray[np.int64]) -> NDArray[np.float64]:
+def _gaps(levels: Ints) -> Floats:
     """p_k less the power of all stronger ranks, over P_max, ranks 2..K; inf where not served."""
     fraction = fractions(levels)
     gap = fraction[:, 1:] - np.cumsum(fraction, axis=-1)[:, :-1]

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Ints
+
 FIRST_EXCESS = 16
 """How far above the least distance a combination that keeps margins is sought at first."""
 
@@ -20,11 +22,8 @@ NEVER = 10**6
 
 
 def project_levels(
-    picks: NDArray[np.int64],
-    count: NDArray[np.int64],
-    levels: int,
-    least_gap: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    picks: Ints, count: Ints, levels: int, least_gap: Floats | None = None
+) -> tuple[Ints, Bools]:
     """The feasible combination nearest to the picks, by dynamic programming over levels.
 
     Feasible are levels that strictly fall with the rank (a weaker robot gets more power) with
@@ -69,12 +68,7 @@ def project_levels(
     return chosen, feasible
 
 
-def _excess_bound(
-    picks: NDArray[np.int64],
-    count: NDArray[np.int64],
-    levels: int,
-    least_gap: NDArray[np.float64],
-) -> NDArray[np.int64]:
+def _excess_bound(picks: Ints, count: Ints, levels: int, least_gap: Floats) -> Ints:
     """An excess within which a combination that keeps the margins lies, (B,); -1 if none does.
 
     It is that of the feasible combination of least power, whatever was picked.
@@ -84,7 +78,7 @@ def _excess_bound(
     return np.where(feasible, distance - _Search(picks, count, levels).to_go[0, :, 0], -1)
 
 
-def _chunks(rows: NDArray[np.int64], cells: int) -> list[NDArray[np.int64]]:
+def _chunks(rows: Ints, cells: int) -> list[Ints]:
     """Rows in groups whose tables, of so many cells a row, stay small."""
     size = max(MAX_CELLS // cells, 1)
     return [rows[first : first + size] for first in range(0, len(rows), size)]
@@ -105,14 +99,7 @@ class _Search:
         anywhere: leave the picks out, to see whether anything is feasible.
     """
 
-    def __init__(
-        self,
-        picks: NDArray[np.int64],
-        count: NDArray[np.int64],
-        levels: int,
-        *,
-        anywhere: bool = False,
-    ) -> None:
+    def __init__(self, picks: Ints, count: Ints, levels: int, *, anywhere: bool = False) -> None:
         rows, ranks = picks.shape
         self.last = levels - np.maximum(count, 1)  # the widest slack of each row
         slack = np.arange(self.last.max(initial=0) + 1)
@@ -129,9 +116,7 @@ class _Search:
             either = self.distance[:, rank] + self.to_go[rank + 1]
             self.to_go[rank] = np.minimum.accumulate(either[:, ::-1], axis=1)[:, ::-1]
 
-    def nearest(
-        self, excess: int, least_gap: NDArray[np.float64] | None
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def nearest(self, excess: int, least_gap: Floats | None) -> tuple[Ints, Bools]:
         """The nearest combination of each row, if one is at most ``excess`` above the least.
 
         The tables hold the least total power by gate and by 1 + e, where e is by how much the
@@ -152,14 +137,12 @@ class _Search:
             self._open(gate, taken[rank], self.to_go[rank + 1])
         return self._trace(gate, taken)
 
-    def _detour(self, rank: int) -> NDArray[np.int64]:
+    def _detour(self, rank: int) -> Ints:
         """By how much each slack at a rank is above the best one from its gate on, (B, S)."""
         return np.asarray(self.distance[:, rank] + self.to_go[rank + 1] - self.to_go[rank])
 
     @staticmethod
-    def _open(
-        gate: NDArray[np.float64], taken: NDArray[np.int16], to_go: NDArray[np.int64]
-    ) -> None:
+    def _open(gate: Floats, taken: NDArray[np.int16], to_go: Ints) -> None:
         """Turns a table by slack into one by gate, in place, and notes which slack is taken."""
         steps = np.diff(to_go, axis=1)
         taken[:] = np.arange(gate.shape[1])[:, None]
@@ -171,9 +154,7 @@ class _Search:
             source = np.take_along_axis(taken[:, slack - 1], place, axis=-1)
             np.copyto(taken[:, slack], source, where=less)
 
-    def _trace(
-        self, gate: NDArray[np.float64], taken: NDArray[np.int16]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def _trace(self, gate: Floats, taken: NDArray[np.int16]) -> tuple[Ints, Bools]:
         """Reads the nearest combination of each row back from the tables."""
         rows, ranks = self.served.shape
         row, slack = np.arange(rows), self.last
@@ -189,11 +170,11 @@ class _Search:
         return np.where(self.served & feasible[:, None], chosen, 0), feasible
 
 
-def _places(size: int, shift: NDArray[np.int64]) -> NDArray[np.int64]:
+def _places(size: int, shift: Ints) -> Ints:
     """Where each entry of a table's last axis lies before a shift to the right; 0 if nowhere."""
     return np.asarray(np.maximum(np.arange(size) - shift[..., None], 0))
 
 
-def _later(table: NDArray[np.float64], shift: NDArray[np.int64]) -> NDArray[np.float64]:
+def _later(table: Floats, shift: Ints) -> Floats:
     """A table shifted to the right along its last axis, filled with its entry 0."""
     return np.take_along_axis(table, _places(table.shape[-1], shift), axis=-1)

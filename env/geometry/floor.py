@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Ints
 from env.config import EnvConfig
 
 DIRECTIONS = ("n", "s", "e", "w")
@@ -31,7 +31,7 @@ class Floor:
     columns: int
     rows: int
     cell_m: float
-    walls: NDArray[np.float64]
+    walls: Floats
     solid: bool = False
 
     @classmethod
@@ -48,24 +48,18 @@ class Floor:
         return self.columns * self.rows
 
     @property
-    def size_m(self) -> NDArray[np.float64]:
+    def size_m(self) -> Floats:
         """Width and depth, shape (2,)."""
         return np.array([self.columns, self.rows], dtype=np.float64) * self.cell_m
 
-    def centres(self) -> NDArray[np.float64]:
+    def centres(self) -> Floats:
         """The centre of each cell in m, shape (cells, 2)."""
         cell = np.arange(self.cells)
         place = np.stack([cell % self.columns, cell // self.columns], axis=-1)
         return np.asarray((place + 0.5) * self.cell_m)
 
-    def cell_at(self, position_m: NDArray[np.float64]) -> NDArray[np.int64]:
-        """The cell that holds a position.
-
-        Args:
-            position_m: x and y in m, shape (..., 2), inside the room.
-
-        Returns:
-            Cell indices, shape (...).
+    def cell_at(self, position_m: Floats) -> Ints:
+        """The cell that holds a position x, y in m, shape (...) of (..., 2).
 
         Raises:
             ValueError: a position lies outside the room.
@@ -76,7 +70,7 @@ class Floor:
             raise ValueError(f"{at} lies outside the room of {width_m:g} m x {depth_m:g} m")
         return np.asarray(index[..., 1] * self.columns + index[..., 0])
 
-    def neighbours(self) -> NDArray[np.int64]:
+    def neighbours(self) -> Ints:
         """The cell that each move leads to, shape (cells, 4).
 
         Out of the room is where one was, and so is, where walls are solid, any cell whose centre
@@ -90,7 +84,7 @@ class Floor:
             free &= ~self._walled((moved + 0.5) * self.cell_m)
         return np.where(free, moved[..., 1] * self.columns + moved[..., 0], cell[:, None])
 
-    def _walled(self, stop_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _walled(self, stop_m: Floats) -> Bools:
         """Which moves touch a wall, given where each ends, (cells, 4, 2); shape (cells, 4)."""
         start_m = self.centres()[:, None]
         low_m, high_m = np.minimum(start_m, stop_m), np.maximum(start_m, stop_m)
@@ -101,17 +95,12 @@ class Floor:
             walled[near] |= _touches(low_m[near], high_m[near], wall[0], wall[1])
         return walled
 
-    def slots_to(
-        self, destinations: NDArray[np.int64], most: int = UNREACHABLE
-    ) -> NDArray[np.int64]:
-        """Fewest slots from every cell to each destination along the moves that robots have.
-
-        Args:
-            destinations: cells, shape (n,).
-            most: slots; with solid walls longer ways are not looked for, which saves time.
+    def slots_to(self, destinations: Ints, most: int = UNREACHABLE) -> Ints:
+        """Fewest slots from every cell to n destinations along the moves that robots have.
 
         Returns:
-            Slots, shape (cells, n); ``UNREACHABLE`` where solid walls leave no way.
+            Slots, shape (cells, n); ``UNREACHABLE`` where solid walls leave no way. With them ways
+            of more than ``most`` slots are not looked for, which saves time.
         """
         if not self.solid:
             return self.shortest_slots(np.arange(self.cells)[:, None], destinations)
@@ -125,15 +114,13 @@ class Floor:
                 front, length = reached[column[reached] == UNREACHABLE], length + 1
         return slots
 
-    def shortest_slots(
-        self, start: NDArray[np.int64], destination: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
+    def shortest_slots(self, start: Ints, destination: Ints) -> Ints:
         """Fewest slots where no wall is solid: the Manhattan length in cells, broadcast shape."""
         columns = np.abs(start % self.columns - destination % self.columns)
         rows = np.abs(start // self.columns - destination // self.columns)
         return np.asarray(columns + rows)
 
-    def drivable(self) -> NDArray[np.bool_]:
+    def drivable(self) -> Bools:
         """The largest part of the floor whose cells all reach each other, shape (cells,).
 
         All of it where walls are not solid; of parts of one size, the one with the lowest cell.
@@ -149,9 +136,7 @@ class Floor:
             part = heard
 
 
-def line_of_sight(
-    end_m: NDArray[np.float64], points_m: NDArray[np.float64], walls: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def line_of_sight(end_m: Floats, points_m: Floats, walls: Floats) -> Bools:
     """Whether the ground projection of a link crosses no wall.
 
     A link that touches a wall, its end included, is blocked.
@@ -170,12 +155,7 @@ def line_of_sight(
     return np.asarray(~_touches(end, point, walls[:, :2], walls[:, 2:]).any(axis=-1))
 
 
-def _touches(
-    end: NDArray[np.float64],
-    point: NDArray[np.float64],
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+def _touches(end: Floats, point: Floats, a: Floats, b: Floats) -> Bools:
     """Whether the segments end-point and a-b have a point in common; all (..., 2), broadcast."""
     # Each segment's ends lie on both sides of (or on) the other segment's line.
     d1, d2 = _side(a, b, end), _side(a, b, point)
@@ -187,9 +167,7 @@ def _touches(
     return np.asarray(crosses & (low <= high).all(axis=-1))
 
 
-def _side(
-    start: NDArray[np.float64], stop: NDArray[np.float64], point: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _side(start: Floats, stop: Floats, point: Floats) -> Floats:
     """On which side of the line start-stop a point lies: the sign of a cross product."""
     along, to = stop - start, point - start
     return np.asarray(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])

@@ -42,8 +42,7 @@ def find(name: str) -> Path | int:
     """The file of a plan, or the seed that it is drawn from.
 
     Args:
-        name: of a built-in plan; ``random:SEED``; or the path of a file, relative to the working
-            folder.
+        name: of a built-in plan; ``random:SEED``; or the path of a file, from the working folder.
 
     Raises:
         ValueError: there is no such plan and no such file, or the seed is none.
@@ -75,10 +74,7 @@ def absolute(name: Any) -> Any:
 
 
 def read(name: str) -> dict[str, Any]:
-    """What a plan sets: fields of ``EnvConfig``, nested; types and values are not checked here.
-
-    Args:
-        name: of a built-in plan, ``random:SEED``, or the path of a file.
+    """What a plan of that name sets: fields of ``EnvConfig``, nested, values not yet checked.
 
     Raises:
         ValueError: no such plan, no TOML, or a key that no plan may set.

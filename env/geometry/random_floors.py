@@ -10,8 +10,8 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Floats, Ints
 from env.config import MotionConfig, RoomConfig, TasksConfig
 from env.geometry.floor import UNREACHABLE, Floor, line_of_sight
 from env.seeding import Stream, stream
@@ -30,16 +30,10 @@ Point = tuple[int, int]
 
 
 def random_plan(seed: int) -> dict[str, Any]:
-    """A floor that depends on its seed alone: what a plan may set, nested as in a TOML file.
+    """A floor that depends on its seed alone: a value for each of ``floor_plans.KEYS``, nested.
 
     A rectangle is divided into rooms by solid walls, each with a door. ``max_slots`` is at least
     twice the longest way to a destination, which is enough for a way between any two cells.
-
-    Args:
-        seed: of the floor, at least 0.
-
-    Returns:
-        A value for each of ``floor_plans.KEYS``.
     """
     draw, cell_m = stream(seed, Stream.FLOOR), RoomConfig().cell_m
     while True:
@@ -107,7 +101,7 @@ def _point(axis: int, here: int, there: int) -> Point:
     return (there, here) if axis else (here, there)
 
 
-def _destinations(draw: np.random.Generator, floor: Floor) -> NDArray[np.int64]:
+def _destinations(draw: np.random.Generator, floor: Floor) -> Ints:
     """Cells as far apart as drawn destinations are, shape (DESTINATIONS,)."""
     centres, left = floor.centres(), np.ones(floor.cells, dtype=bool)
     cells: list[int] = []
@@ -137,13 +131,13 @@ def _mounts(draw: np.random.Generator, floor: Floor) -> tuple[list[float], list[
     return [*ap_m.tolist(), HEIGHT_M], [*ris_m.tolist(), HEIGHT_M], axis
 
 
-def _in_shadow(floor: Floor, ap_m: NDArray[np.float64], ris_m: NDArray[np.float64]) -> int:
+def _in_shadow(floor: Floor, ap_m: Floats, ris_m: Floats) -> int:
     """Cells that a RIS sees and an AP does not."""
     lit, reached = (line_of_sight(at, floor.centres(), floor.walls) for at in (ap_m, ris_m))
     return int((reached & ~lit).sum())
 
 
-def _on_side(draw: np.random.Generator, floor: Floor, side: int) -> NDArray[np.float64]:
+def _on_side(draw: np.random.Generator, floor: Floor, side: int) -> Floats:
     """A place on the wall x = 0, x = width, y = 0 or y = depth, shape (2,)."""
     place = draw.integers(floor.size_m.astype(np.int64)) + 0.5
     axis, far = divmod(side, 2)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Ints
 from env.config import EnvConfig
 from env.geometry.floor import DIRECTIONS
 
@@ -31,11 +31,11 @@ class ActionSpace:
         """Number of actions, 4 N_P."""
         return len(DIRECTIONS) * self.levels
 
-    def encode(self, direction: NDArray[np.int64], level: NDArray[np.int64]) -> NDArray[np.int64]:
+    def encode(self, direction: Ints, level: Ints) -> Ints:
         """Action of a direction index and a power level 1..N_P, any shape."""
         return np.asarray(direction * self.levels + level - 1)
 
-    def decode(self, action: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def decode(self, action: Ints) -> tuple[Ints, Ints]:
         """Direction index and power level 1..N_P of an action, same shape; -1 decodes as 0."""
         direction, level = np.divmod(np.maximum(action, 0), self.levels)
         return direction, level + 1
@@ -44,9 +44,7 @@ class ActionSpace:
         """Number of joint actions of an AP with so many phase settings and of K robots."""
         return int(phases * self.count**robots)
 
-    def joint_decode(
-        self, joint: NDArray[np.int64], robots: int
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def joint_decode(self, joint: Ints, robots: int) -> tuple[Ints, Ints]:
         """The phase action, shape (...), and the robots' actions, (..., K), of a joint one.
 
         A joint action is phase (4 N_P)^K + a_0 (4 N_P)^(K-1) + ... + a_{K-1}.

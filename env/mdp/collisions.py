@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from env.arrays import Bools, Ints
 
 
-def moves_without_collisions(
-    cell: NDArray[np.int64],
-    wanted: NDArray[np.int64],
-    driving: NDArray[np.bool_],
-    destinations: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """Where robots are after a slot in which none enters a cell that another one holds.
+def moves_without_collisions(cell: Ints, wanted: Ints, driving: Bools, destinations: Ints) -> Ints:
+    """The cells of robots after a slot in which none enters a cell that another one holds.
 
     Robots move in the order of their index: each sees where those before it are now and where
     those after it still are. Only robots that drive hold cells: one that reaches its destination
@@ -23,9 +19,6 @@ def moves_without_collisions(
         wanted: the cell that each one's move leads to, shape (B, K); read where driving.
         driving: which robots are driving, shape (B, K).
         destinations: the cell that each robot is going to, shape (K,).
-
-    Returns:
-        Cells after the slot, shape (B, K).
     """
     at, holds = cell.copy(), driving.copy()
     for k in range(cell.shape[1]):

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Ints
 from env.config import EnvConfig
 from env.geometry.floor import Floor
 from env.mdp import starts
 
 
-def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> NDArray[np.int64]:
+def draw_destinations(config: EnvConfig, generator: np.random.Generator) -> Ints:
     """The destinations of K robots: given ones first, further ones drawn.
 
     ``tasks.destination`` is ``fixed``: those of ``tasks.destinations_m`` are given; ``random``:
     none are; ``common``: the first one, given or drawn, is everybody's.
-
-    Args:
-        config: the environment.
-        generator: the stream of destinations.
 
     Returns:
         Cells, shape (K,), the drawn ones at least ``tasks.destination_spacing_m`` from all others,

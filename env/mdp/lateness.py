@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Floats, Ints
 from env.config import EnvConfig
 from env.geometry.floor import UNREACHABLE, Floor
 from env.mdp import starts
@@ -13,7 +13,7 @@ from env.validate import Problem
 KEY = "env.motion.max_slots"
 
 
-def late_share(config: EnvConfig, destinations: NDArray[np.int64]) -> float:
+def late_share(config: EnvConfig, destinations: Ints) -> float:
     """The share of starts from which a robot cannot arrive, however it drives; see ``late_shares``.
 
     An episode's robots are late that often at least, whatever they learn.
@@ -21,25 +21,18 @@ def late_share(config: EnvConfig, destinations: NDArray[np.int64]) -> float:
     return float(late_shares(config, destinations).mean())
 
 
-def late_shares(config: EnvConfig, destinations: NDArray[np.int64]) -> NDArray[np.float64]:
+def late_shares(config: EnvConfig, destinations: Ints) -> Floats:
     """The share of each robot's starts from which its shortest way takes more than T_max slots.
 
-    Ways go round solid walls; those of other robots are not looked at, so with
+    Of the cells that the robot may start from, so 0 or 1 with ``tasks.start=fixed``; shape (K,), as
+    the destinations. Ways go round solid walls; those of other robots are not looked at, so with
     ``collisions=block`` more may be late.
-
-    Args:
-        config: the environment, checked.
-        destinations: the cell that each robot is going to, shape (K,).
-
-    Returns:
-        Shares of the cells that the robot may start from, 0 or 1 with ``tasks.start=fixed``,
-        shape (K,).
     """
     most = config.motion.max_slots
     return np.array([(slots > most).mean() for slots in _ways(config, destinations, most)])
 
 
-def problems(config: EnvConfig, destinations: NDArray[np.int64]) -> list[Problem]:
+def problems(config: EnvConfig, destinations: Ints) -> list[Problem]:
     """Whether some robot has no start from which it can arrive; arguments as ``late_shares``."""
     most = config.motion.max_slots
     if all((slots <= most).any() for slots in _ways(config, destinations, most)):
@@ -67,9 +60,7 @@ def given_problems(config: EnvConfig) -> list[Problem]:
     return problems(config, np.full(config.robots, cells))
 
 
-def _ways(
-    config: EnvConfig, destinations: NDArray[np.int64], most: int = UNREACHABLE
-) -> list[NDArray[np.int64]]:
+def _ways(config: EnvConfig, destinations: Ints, most: int = UNREACHABLE) -> list[Ints]:
     """Fewest slots to arrive from each cell that a robot may start from, K arrays.
 
     Those above ``most`` may be ``UNREACHABLE``.

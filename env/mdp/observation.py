@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Complexes, Floats, Floats32, Ints
 from env.config import EnvConfig
 from env.downlink.access import decoding_order
 from env.geometry.floor import Floor
@@ -24,7 +24,7 @@ PACE_BOUND = 4.0
 LAST = np.iinfo(np.int64).max
 
 
-def scaled_channel(channel_db: NDArray[np.float32]) -> NDArray[np.float32]:
+def scaled_channel(channel_db: Floats32) -> Floats32:
     """A measured channel |hbar|^2 in dB as agents see it, same shape."""
     return (channel_db + CHANNEL_MIDDLE_DB) / CHANNEL_SPREAD_DB
 
@@ -71,12 +71,8 @@ class ObservationEncoder:
         self.global_size = config.robots * (self.own_size + 3 + self.has_weights)
 
     def local(
-        self,
-        cell: NDArray[np.int64],
-        channel_db: NDArray[np.float32],
-        destination: NDArray[np.int64],
-        way: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.float32]:
+        self, cell: Ints, channel_db: Floats32, destination: Ints, way: Floats32 | None = None
+    ) -> Floats32:
         """The robots' states s_L as they know them by themselves, Eq. (9).
 
         Args:
@@ -86,7 +82,7 @@ class ObservationEncoder:
             way: with ``has_way`` the way of each, shape (..., K, WAY_SIZE).
 
         Returns:
-            States, float32, shape (..., K, local_size - broadcast_size).
+            States, shape (..., K, local_size - broadcast_size).
         """
         position = self._centres[cell]
         state = np.empty((*cell.shape, self._alone_size), dtype=np.float32)
@@ -98,30 +94,22 @@ class ObservationEncoder:
             state[..., self.own_size :] = way
         return state
 
-    def way(
-        self, slots_to_go: NDArray[np.int64], slots_then: NDArray[np.int64]
-    ) -> NDArray[np.float32]:
-        """What a robot knows of its way from its plan of the floor.
+    def way(self, slots_to_go: Ints, slots_then: Ints) -> Floats32:
+        """What a robot knows of its way from its plan of the floor, shape (..., K, WAY_SIZE).
+
+        For each move the slots that it saves, 1, 0 or -1, and the slots left over half of the
+        floor's rows and columns, at most ``WAY_BOUND``.
 
         Args:
             slots_to_go: fewest slots from where each robot is, shape (..., K).
             slots_then: the same after each of the four moves, shape (..., K, 4).
-
-        Returns:
-            For each move the slots that it saves, 1, 0 or -1, and the slots left over half of the
-            floor's rows and columns, at most ``WAY_BOUND``, float32, shape (..., K, WAY_SIZE).
         """
         way = np.empty((*slots_to_go.shape, WAY_SIZE), dtype=np.float32)
         way[..., :4] = slots_to_go[..., None] - slots_then
         way[..., 4] = np.minimum(slots_to_go * self._way_scale, WAY_BOUND)
         return way
 
-    def broadcast(
-        self,
-        local: NDArray[np.float32],
-        travel_slots: NDArray[np.int64],
-        driving: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
+    def broadcast(self, local: Floats32, travel_slots: Ints, driving: Bools) -> Floats32:
         """What the AP tells each robot k of the others and of itself, the end of s_L.
 
         Of as many others j as ``state.others`` says, the driving ones with the fewest slots T_j
@@ -134,7 +122,7 @@ class ObservationEncoder:
             driving: which robots are driving, shape (B, K).
 
         Returns:
-            What is told, float32, shape (B, K, broadcast_size).
+            What is told, shape (B, K, broadcast_size).
         """
         (rows, robots), size = driving.shape, 2 + self.own_size
         told = np.zeros((rows, robots, self.broadcast_size), dtype=np.float32)
@@ -156,13 +144,8 @@ class ObservationEncoder:
         told[..., -1] = np.minimum(self._horizon_slots / travel_slots, PACE_BOUND)
         return told
 
-    def seen_robots(
-        self,
-        local: NDArray[np.float32],
-        channel: NDArray[np.complex128],
-        driving: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
-        """What the AP sees of each robot by itself.
+    def seen_robots(self, local: Floats32, channel: Complexes, driving: Bools) -> Floats32:
+        """What the AP sees of each robot by itself, zeros where it is not driving.
 
         Args:
             local: the robots' states, shape (..., K, own_size or more).
@@ -170,7 +153,7 @@ class ObservationEncoder:
             driving: which robots are driving, shape (..., K).
 
         Returns:
-            Zeros where a robot is not driving, float32, shape (..., K, own_size + 3).
+            What is seen, shape (..., K, own_size + 3).
         """
         seen = np.empty((*driving.shape, self.own_size + 3), dtype=np.float32)
         seen[..., 0:3] = local[..., 0:3]
@@ -183,22 +166,15 @@ class ObservationEncoder:
         return seen
 
     def global_observation(
-        self,
-        seen: NDArray[np.float32],
-        channel: NDArray[np.complex128],
-        driving: NDArray[np.bool_],
-        weights: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float32]:
-        """The AP's state s_G, Eq. (6).
+        self, seen: Floats32, channel: Complexes, driving: Bools, weights: Floats | None = None
+    ) -> Floats32:
+        """The AP's state s_G, Eq. (6), shape (..., global_size).
 
         Args:
             seen: of each robot, ``seen_robots``.
             channel: hbar_k, shape (..., K).
             driving: which robots are driving, shape (..., K).
             weights: with ``has_weights`` w_k, shape (..., K).
-
-        Returns:
-            State, float32, shape (..., global_size).
         """
         if weights is not None:
             share = shares(weights, driving).astype(np.float32)

@@ -6,35 +6,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env import plugins
+from env.arrays import Bools, Floats, Ints
 from env.config import EnvConfig, MotionConfig, QoeConfig, RewardConfig
 
 
-def quality_of_experience(rate: NDArray[np.float64], qoe: QoeConfig) -> NDArray[np.float64]:
-    """Quality of experience, Baseline 3: eta_k = C_1 lg(R_k) + C_2.
+def quality_of_experience(rate: Floats, qoe: QoeConfig) -> Floats:
+    """Quality of experience, Baseline 3: eta_k = C_1 lg(R_k) + C_2, of R_k in bit/s/Hz, any shape.
 
-    Args:
-        rate: R_k in bit/s/Hz, any shape.
-        qoe: C_1, C_2 and the floor below which a rate counts as the floor.
-
-    Returns:
-        eta_k, same shape.
+    A rate below ``qoe.floor`` counts as the floor.
     """
     # The floor makes a new array: the logarithm's last bit is the same whatever the layout was.
     return np.asarray(qoe.scale * np.log10(np.maximum(rate, qoe.floor)) + qoe.offset)
 
 
-def metric(rate: NDArray[np.float64], config: EnvConfig) -> NDArray[np.float64]:
+def metric(rate: Floats, config: EnvConfig) -> Floats:
     """What rewards are made of: R_k itself, or eta_k with ``env.metric=qoe``; same shape."""
     return quality_of_experience(rate, config.qoe) if config.metric == "qoe" else rate
 
 
 def local_reward(
-    rate: NDArray[np.float64],
-    before_m: NDArray[np.float64],
-    after_m: NDArray[np.float64],
-    arrived: NDArray[np.bool_],
-    weights: RewardConfig,
-) -> NDArray[np.float64]:
+    rate: Floats, before_m: Floats, after_m: Floats, arrived: Bools, weights: RewardConfig
+) -> Floats:
     """A robot's reward: phi R_k + psi (d^{t-1} - kappa d^t) + R_time + R_goal, Eq. (11).
 
     The paper has kappa = 1. With the robots' discount as kappa the guidance is a potential's, which
@@ -57,15 +49,10 @@ def local_reward(
     return weights.rate * rate + guidance + weights.time + np.where(arrived, weights.goal, 0.0)
 
 
-def rate_weights(travel_slots: NDArray[np.int64], horizon_slots: float) -> NDArray[np.float64]:
+def rate_weights(travel_slots: Ints, horizon_slots: float) -> Floats:
     """w_k = (horizon / T_k)^2, a robot's 1 / (T_k E_k) of (5a) over that at the horizon.
 
-    Args:
-        travel_slots: T_k, the slots that a robot will have driven in all, at least 1, any shape.
-        horizon_slots: T_k of a robot with the weight 1.
-
-    Returns:
-        The weights, same shape.
+    T_k, the slots that a robot will have driven in all, is at least 1, of any shape.
     """
     return np.asarray(np.square(horizon_slots / travel_slots))
 
@@ -94,17 +81,13 @@ class RewardFunction:
         # Under OMA no signal disturbs another.
         self.weighs_absence = credit == "difference" and config.access == "noma"
 
-    def weights(self, travel_slots: NDArray[np.int64]) -> NDArray[np.float64]:
+    def weights(self, travel_slots: Ints) -> Floats:
         """w_k of T_k, same shape; see ``rate_weights``."""
         return rate_weights(travel_slots, self._config.reward.horizon_slots)
 
     def credit(
-        self,
-        rate: NDArray[np.float64],
-        drove: NDArray[np.bool_],
-        weights: NDArray[np.float64],
-        without: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float64]:
+        self, rate: Floats, drove: Bools, weights: Floats, without: Floats | None = None
+    ) -> Floats:
         """What robots are credited with in the place of R_k, with ``weighs_credit``.
 
         Args:
@@ -133,12 +116,8 @@ class RewardFunction:
         return np.where(drove, counted - harm / weights, 0.0)
 
     def of_robots(
-        self,
-        credit: NDArray[np.float64],
-        before_m: NDArray[np.float64],
-        after_m: NDArray[np.float64],
-        arrived: NDArray[np.bool_],
-    ) -> NDArray[np.float64]:
+        self, credit: Floats, before_m: Floats, after_m: Floats, arrived: Bools
+    ) -> Floats:
         """r_L: ``local_reward``, or the user's own; arguments as there.
 
         ``credit`` is R_k with ``reward.credit=rate``, what ``credit`` gave otherwise.
@@ -146,12 +125,7 @@ class RewardFunction:
         counted = credit if self.weighs_credit else metric(credit, self._config)
         return self._local(counted, before_m, after_m, arrived, self._config.reward)
 
-    def of_access_point(
-        self,
-        rate: NDArray[np.float64],
-        drove: NDArray[np.bool_],
-        weights: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float64]:
+    def of_access_point(self, rate: Floats, drove: Bools, weights: Floats | None = None) -> Floats:
         """r_G of the robots that drove, ``global_reward``; arguments of shape (..., K).
 
         With ``weighs_rates`` the n rates count for n w_k / sum_j w_j each.
@@ -162,47 +136,32 @@ class RewardFunction:
         return global_reward(counted.sum(axis=-1), self._config.reward)
 
 
-def only(who: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def only(who: Bools, values: Floats) -> Floats:
     """The values of some, and 0 for all others; same shape, the array itself where all count."""
     return values if np.count_nonzero(who) == who.size else np.where(who, values, 0.0)
 
 
-def shares(weights: NDArray[np.float64], driving: NDArray[np.bool_]) -> NDArray[np.float64]:
+def shares(weights: Floats, driving: Bools) -> Floats:
     """Each robot's part of the weight of all that drive, 0 where it does not; shape (..., K)."""
     counted = np.where(driving, weights, 0.0)
     total = counted.sum(axis=-1, keepdims=True)
     return np.asarray(counted / np.where(total > 0.0, total, 1.0))
 
 
-def global_reward(sum_rate: NDArray[np.float64], weights: RewardConfig) -> NDArray[np.float64]:
+def global_reward(sum_rate: Floats, weights: RewardConfig) -> Floats:
     """The access point's reward: tau_1 sum_k R_k (plus an offset, 0 by default), Eq. (8).
 
-    Args:
-        sum_rate: sum_k R_k in bit/s/Hz, or of eta_k, weighted or not, any shape.
-        weights: tau_1 and the offset.
-
-    Returns:
-        The reward, same shape.
+    The sum is in bit/s/Hz, or of eta_k, weighted or not, of any shape.
     """
     return weights.sum_rate * sum_rate + weights.global_offset
 
 
-def motion_energy_j(travel_s: NDArray[np.floating], motion: MotionConfig) -> NDArray[np.float64]:
-    """Energy of driving for T_k seconds: E_1 T_k v + E_2 T_k, Eq. (4).
-
-    Args:
-        travel_s: T_k in s, any shape.
-        motion: E_1, E_2 and v.
-
-    Returns:
-        E_k in J, same shape.
-    """
+def motion_energy_j(travel_s: NDArray[np.floating], motion: MotionConfig) -> Floats:
+    """Energy of driving for T_k seconds: E_k = E_1 T_k v + E_2 T_k in J, Eq. (4), any shape."""
     return np.asarray((motion.energy_per_m_j * motion.speed_mps + motion.idle_power_w) * travel_s)
 
 
-def energy_efficiency(
-    rate_sum: NDArray[np.float64], slots: NDArray[np.int64], slot_s: float, motion: MotionConfig
-) -> NDArray[np.float64]:
+def energy_efficiency(rate_sum: Floats, slots: Ints, slot_s: float, motion: MotionConfig) -> Floats:
     """Energy efficiency of an episode, the objective (5a): sum_k (1/T_k) sum_t R_k^t / E_k.
 
     Args:
@@ -212,29 +171,17 @@ def energy_efficiency(
         motion: E_1, E_2 and v.
 
     Returns:
-        Energy efficiency in bit/s/Hz/J, shape (...).
+        In bit/s/Hz/J, shape (...).
     """
     return np.asarray((rate_sum / slots / motion_energy_j(slots * slot_s, motion)).sum(axis=-1))
 
 
 def bits_per_joule(
-    rate_sum: NDArray[np.float64],
-    slots: NDArray[np.int64],
-    slot_s: float,
-    bandwidth_hz: float,
-    motion: MotionConfig,
-) -> NDArray[np.float64]:
-    """All bits over all energy of an episode: sum_k sum_t R_k^t B T_slot / sum_k E_k.
+    rate_sum: Floats, slots: Ints, slot_s: float, bandwidth_hz: float, motion: MotionConfig
+) -> Floats:
+    """All bits over all energy of an episode in bit/J: sum_k sum_t R_k^t B T_slot / sum_k E_k.
 
-    Args:
-        rate_sum: sum over t of R_k^t in bit/s/Hz, shape (..., K).
-        slots: slots that each robot drove, at least 1, shape (..., K).
-        slot_s: T_slot in s.
-        bandwidth_hz: B in Hz.
-        motion: E_1, E_2 and v.
-
-    Returns:
-        Energy efficiency in bit/J, shape (...).
+    Arguments are those of ``energy_efficiency``, and B in Hz.
     """
     bits = rate_sum.sum(axis=-1) * (bandwidth_hz * slot_s)
     return np.asarray(bits / motion_energy_j(slots * slot_s, motion).sum(axis=-1))

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Ints
 from env.config import EnvConfig
 from env.geometry import distances
 from env.geometry.floor import Floor
 
 
-def fixed_starts(config: EnvConfig, floor: Floor) -> NDArray[np.int64]:
+def fixed_starts(config: EnvConfig, floor: Floor) -> Ints:
     """The cells of ``tasks.starts_m``, shape (K,), or (0,) where starts are drawn."""
     if config.tasks.start == "random":
         return np.zeros(0, dtype=np.int64)
     return floor.cell_at(np.asarray(config.tasks.starts_m[: config.robots], dtype=np.float64))
 
 
-def allowed_cells(
-    config: EnvConfig, floor: Floor, destinations: NDArray[np.int64]
-) -> list[NDArray[np.int64]]:
+def allowed_cells(config: EnvConfig, floor: Floor, destinations: Ints) -> list[Ints]:
     """The cells to start from with ``tasks.start=random``, rising, an array for each destination.
 
     They lie on the drivable floor, in a straight line at least ``tasks.start_distance_m`` from the
@@ -29,9 +27,7 @@ def allowed_cells(
     return [np.flatnonzero(column) for column in (far & floor.drivable()[:, None]).T]
 
 
-def start_cells(
-    config: EnvConfig, floor: Floor, destinations: NDArray[np.int64]
-) -> list[NDArray[np.int64]]:
+def start_cells(config: EnvConfig, floor: Floor, destinations: Ints) -> list[Ints]:
     """As ``allowed_cells``, K arrays.
 
     Raises:
@@ -44,20 +40,11 @@ def start_cells(
     return cells
 
 
-def distinct_starts(
-    allowed: list[NDArray[np.int64]], count: int, generator: np.random.Generator
-) -> NDArray[np.int64]:
-    """Start cells that no two robots of a world share.
+def distinct_starts(allowed: list[Ints], count: int, generator: np.random.Generator) -> Ints:
+    """Start cells that no two robots of a world share, shape (count, K).
 
-    Robots draw one after the other, uniformly, and again as long as an earlier one has the cell.
-
-    Args:
-        allowed: the cells that each robot may start from, at least K of them for each of K robots.
-        count: of worlds.
-        generator: the source.
-
-    Returns:
-        Cells, shape (count, K).
+    Robots draw one after the other, uniformly from the cells ``allowed``, at least K for each, and
+    again as long as an earlier one has the cell.
     """
     starts = np.full((count, len(allowed)), -1)
     for k, cells in enumerate(allowed):

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Path = NDArray[np.int64]
+from env.arrays import Bools, Floats, Ints
+
+Path = Ints
 """The directions of a robot's moves, shape (T_k,)."""
 
 
-def cells_along(after: NDArray[np.int64], start: int, path: Path) -> NDArray[np.int64]:
+def cells_along(after: Ints, start: int, path: Path) -> Ints:
     """The cells of a path, the first and the last included, shape (T_k + 1,)."""
     cells = [start]
     for direction in path:
@@ -23,16 +24,14 @@ def cells_along(after: NDArray[np.int64], start: int, path: Path) -> NDArray[np.
     return np.array(cells)
 
 
-def free_moves(
-    after: NDArray[np.int64], slots: int, others: Sequence[NDArray[np.int64]]
-) -> NDArray[np.bool_]:
+def free_moves(after: Ints, slots: int, others: Sequence[Ints]) -> Bools:
     """Which moves neither enter a cell that others hold or enter, nor hold one that they enter.
 
     So no move is blocked in ``World.step``, whoever moves first; a row that moves up, which that
     allows in one order of the robots, is left out.
 
     Args:
-        after: the cell that each move leads to, shape (cells, 4).
+        after: the cell that each move leads to, shape (cells, 4), here and below.
         slots: T, how many slots to look at.
         others: the cells along the paths of the other robots, shape (T_j + 1,) each; a robot that
             has arrived holds no cell.
@@ -49,16 +48,11 @@ def free_moves(
     return free
 
 
-def ways_to(after: NDArray[np.int64], goal: int, moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """From where one first arrives after exactly the slots that are left.
+def ways_to(after: Ints, goal: int, moves: Bools) -> Bools:
+    """From where one first arrives at a goal after exactly the slots that are left.
 
-    Args:
-        after: the cell that each move leads to, shape (cells, 4).
-        goal: the destination.
-        moves: which moves are free in each slot, shape (T, cells, 4).
-
-    Returns:
-        By slots gone and cell, shape (T + 1, cells).
+    Args as of ``free_moves``, which gives ``moves``. A table of bool by slots gone and cell, shape
+    (T + 1, cells).
     """
     slots = len(moves)
     ways = np.zeros((slots + 1, len(after)), dtype=bool)
@@ -70,9 +64,7 @@ def ways_to(after: NDArray[np.int64], goal: int, moves: NDArray[np.bool_]) -> ND
     return ways
 
 
-def ways_from(
-    after: NDArray[np.int64], start: int, goal: int, moves: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def ways_from(after: Ints, start: int, goal: int, moves: Bools) -> Bools:
     """Where one can be after so many slots without having arrived; as ``ways_to``."""
     reached = np.zeros((len(moves) + 1, len(after)), dtype=bool)
     reached[0, start] = True
@@ -83,20 +75,16 @@ def ways_from(
 
 
 def best_way(
-    after: NDArray[np.int64],
-    start: int,
-    stage: NDArray[np.float64],
-    moves: NDArray[np.bool_],
-    ways: NDArray[np.bool_],
+    after: Ints, start: int, stage: Floats, moves: Bools, ways: Bools
 ) -> tuple[float, Path]:
     """The path of T slots that collects most, by backward induction.
 
     Args:
-        after: the cell that each move leads to, shape (cells, 4).
+        after: as of ``free_moves``, which gives ``moves``.
         start: the first cell.
         stage: what a slot in a cell brings, -inf where a path may not be, shape (T, cells).
-        moves: which moves are free, shape (at least T, cells, 4).
-        ways: ``ways_to`` of the destination, shape (T + 1, cells).
+        moves: of at least T slots.
+        ways: ``ways_to`` of the destination.
 
     Returns:
         What the path collects, -inf where there is none, and its directions, ties going to the

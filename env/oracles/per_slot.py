@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats, Ints
 from env.downlink import access
 from env.downlink.combinations import count_combinations, levels_by_rank
 from env.geometry.floor import STEPS
@@ -26,18 +26,12 @@ MAX_COMBINATIONS = 200_000
 """Worlds times phases times powers that are searched at once, and most powers: some 100 MB."""
 
 
-def shortest_directions(world: World) -> NDArray[np.int64]:
-    """The next move of a shortest way, round solid walls too.
+def shortest_directions(world: World) -> Ints:
+    """The next move of a shortest way, round solid walls too, shape (B, K).
 
     Of the moves that shorten the way, one along the axis on which the destination is farther, x
-    where both are equal; on that axis, or off it, one towards the destination rather than away.
-
-    Args:
-        world: B worlds; not changed.
-
-    Returns:
-        Indices into ``floor.DIRECTIONS``, shape (B, K) (of no meaning at the destination itself,
-        where there is nothing left to drive).
+    where both are equal; on that axis, or off it, one towards the destination rather than away. At
+    the destination itself, where nothing is left to drive, it has no meaning.
     """
     floor, goal = world.floor, world.destinations
     right = goal % floor.columns - world.cell % floor.columns
@@ -50,25 +44,23 @@ def shortest_directions(world: World) -> NDArray[np.int64]:
     return np.asarray(np.where(shorter, 1 + 2 * longer + towards, 0).argmax(axis=-1))
 
 
-def phase_gains(world: World) -> NDArray[np.float64]:
+def phase_gains(world: World) -> Floats:
     """|h_k|^2 of every robot under every phase setting, shape (B, A, K)."""
     return _gains(world, np.arange(len(world.cell)), np.arange(world.phase_actions)[None])
 
 
-def gains(world: World, phase: NDArray[np.int64]) -> NDArray[np.float64]:
+def gains(world: World, phase: Ints) -> Floats:
     """|h_k|^2 of every robot under one phase setting of each world, (B,), shape (B, K)."""
     return _gains(world, np.arange(len(world.cell)), phase[:, None])[:, 0]
 
 
-def _gains(world: World, rows: NDArray[np.int64], phases: NDArray[np.int64]) -> NDArray[np.float64]:
+def _gains(world: World, rows: Ints, phases: Ints) -> Floats:
     """|h_k|^2 of b of the worlds under a phase settings, (1, a) or (b, a); shape (b, a, K)."""
     direct = world.direct[rows][:, None] if world.config.channel.fading == "slot" else None
     return world.radio_map.gain(world.cell[rows][:, None], phases, direct)
 
 
-def canonical_levels(
-    gain: NDArray[np.float64], driving: NDArray[np.bool_], levels: int
-) -> NDArray[np.int64]:
+def canonical_levels(gain: Floats, driving: Bools, levels: int) -> Ints:
     """Power levels by rank: of n robots that drive, the strongest P/2^n, ..., the weakest P/2.
 
     Args:
@@ -84,18 +76,13 @@ def canonical_levels(
     return np.asarray(np.clip(count - access.ranks(gain, driving), 1, levels))
 
 
-def best_phase(
-    world: World, level: NDArray[np.int64], weights: NDArray[np.float64] | None = None
-) -> NDArray[np.int64]:
-    """The phase setting with the largest sum of the metric, given the robots' power picks.
+def best_phase(world: World, level: Ints, weights: Floats | None = None) -> Ints:
+    """The AP's actions, (B,), with the largest sum of the metric, given the robots' power picks.
 
     Args:
         world: B worlds; not changed.
         level: power levels 1..N_P, shape (B, K), or (B, A, K) where picks depend on the phase.
         weights: of each robot in the sum, broadcast to (B, K); 1 if None.
-
-    Returns:
-        The AP's actions, shape (B,).
     """
     phases, weights = np.arange(world.phase_actions)[None], _weights(world, weights)
     picks = level if level.ndim > 2 else level[:, None]
@@ -106,21 +93,13 @@ def best_phase(
     return best
 
 
-def best_phase_and_powers(
-    world: World, weights: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The phase setting and power levels with the largest sum of the metric.
+def best_phase_and_powers(world: World, weights: Floats | None = None) -> tuple[Ints, Ints]:
+    """The AP's actions, (B,), and power levels, (B, K), with the largest sum of the metric.
 
     With ``power.resolve=project`` the search goes over the combinations that the AP may send;
     otherwise picks stand as they are, so it goes over all N_P^n picks of the n driving robots.
-    Under OMA levels have no effect: the phase alone is searched, and all levels are 1.
-
-    Args:
-        world: B worlds; not changed.
-        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
-
-    Returns:
-        The AP's actions, shape (B,), and levels, shape (B, K), 1 for a robot not driving.
+    Under OMA levels have no effect: the phase alone is searched, and all levels are 1. So is that
+    of a robot that is not driving. Weights are as of ``best_phase``.
 
     Raises:
         ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
@@ -129,20 +108,8 @@ def best_phase_and_powers(
     return best.phase[0], best.level[0]
 
 
-def best_powers(
-    world: World, phase: NDArray[np.int64], weights: NDArray[np.float64] | None = None
-) -> NDArray[np.int64]:
-    """The power levels with the largest sum of the metric, given the phase setting.
-
-    What is searched is as in ``best_phase_and_powers``, for one setting of each world.
-
-    Args:
-        world: B worlds; not changed.
-        phase: the AP's actions, shape (B,).
-        weights: of each robot in the sum, broadcast to (B, K); 1 if None.
-
-    Returns:
-        Levels, shape (B, K), 1 for a robot not driving.
+def best_powers(world: World, phase: Ints, weights: Floats | None = None) -> Ints:
+    """As ``best_phase_and_powers``, the power levels alone, given the AP's actions, shape (B,).
 
     Raises:
         ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
@@ -151,11 +118,11 @@ def best_powers(
     best = _nothing_found(world, weights)
     for at, ranked in _searches(world, 1):
         _search(world, at, phase[at, None], ranked, weights[:, at], best)
-    level: NDArray[np.int64] = best.level[0]
+    level: Ints = best.level[0]
     return level
 
 
-def objective_weights(world: World, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+def objective_weights(world: World, slots: Ints) -> Floats:
     """1 / (T_k E_k), what a robot's rate counts for in (5a), of slots driven; same shape."""
     slots = np.maximum(slots, 1)
     return np.asarray(1.0 / (slots * motion_energy_j(slots * world.slot_s, world.config.motion)))
@@ -170,24 +137,13 @@ class BestSlots(NamedTuple):
         level: power levels, shape (W, B, K), 1 for a robot that is not driving.
     """
 
-    value: NDArray[np.float64]
-    phase: NDArray[np.int64]
-    level: NDArray[np.int64]
+    value: Floats
+    phase: Ints
+    level: Ints
 
 
-def best_slots(world: World, weights: NDArray[np.float64]) -> BestSlots:
-    """As ``best_phase_and_powers``, for several sets of weights in one search.
-
-    Args:
-        world: B worlds; not changed.
-        weights: of each robot in each sum, shape (W, B, K).
-
-    Returns:
-        The best slots under each set.
-
-    Raises:
-        ValueError: there are more powers to try than ``MAX_COMBINATIONS``.
-    """
+def best_slots(world: World, weights: Floats) -> BestSlots:
+    """As ``best_phase_and_powers``, for several sets of weights, (W, B, K), in one search."""
     best, phases = _nothing_found(world, weights), np.arange(world.phase_actions)
     for at, ranked in _searches(world, len(phases)):
         for tried in _parts(phases, max(1, MAX_COMBINATIONS // len(ranked))):
@@ -195,14 +151,14 @@ def best_slots(world: World, weights: NDArray[np.float64]) -> BestSlots:
     return best
 
 
-def _nothing_found(world: World, weights: NDArray[np.float64]) -> BestSlots:
+def _nothing_found(world: World, weights: Floats) -> BestSlots:
     """Best slots before any search, under weights (W, B, K): below all where somebody drives."""
     value = np.tile(np.where(world.driving.any(axis=-1), -np.inf, 0.0), (len(weights), 1))
     levels = np.ones(weights.shape, dtype=np.int64)
     return BestSlots(value, np.zeros(value.shape, dtype=np.int64), levels)
 
 
-def _searches(world: World, phases: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def _searches(world: World, phases: int) -> Iterator[tuple[Ints, Ints]]:
     """Worlds that are searched at once under so many phases, and the levels to try by rank."""
     count = world.driving.sum(axis=-1)
     for driving in np.unique(count[count > 0]):
@@ -212,22 +168,17 @@ def _searches(world: World, phases: int) -> Iterator[tuple[NDArray[np.int64], ND
             yield at, ranked
 
 
-def _parts(items: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+def _parts(items: Ints, size: int) -> list[Ints]:
     return np.split(items, range(size, len(items), size))
 
 
-def _weights(world: World, weights: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def _weights(world: World, weights: Floats | None) -> Floats:
     """Weights of shape (B, K)."""
     return np.broadcast_to(np.asarray(1.0 if weights is None else weights), world.cell.shape)
 
 
 def _search(
-    world: World,
-    rows: NDArray[np.int64],
-    phases: NDArray[np.int64],
-    ranked: NDArray[np.int64],
-    weights: NDArray[np.float64],
-    best: BestSlots,
+    world: World, rows: Ints, phases: Ints, ranked: Ints, weights: Floats, best: BestSlots
 ) -> None:
     """Puts into ``best`` what a phases, (1, a) or (b, a), with levels by rank, (C, K), improve.
 
@@ -250,7 +201,7 @@ def _search(
         best.level[index, rows[better]] = np.where(driving[better], found, 1)
 
 
-def _ranked_levels(world: World, driving: int) -> NDArray[np.int64]:
+def _ranked_levels(world: World, driving: int) -> Ints:
     """Levels to try by rank, strongest first, shape (C, K); 1 at ranks past ``driving``."""
     number = count_combinations(world.config, driving)
     if number > MAX_COMBINATIONS:
@@ -261,9 +212,7 @@ def _ranked_levels(world: World, driving: int) -> NDArray[np.int64]:
     return levels_by_rank(world.config, world.robots, driving)
 
 
-def _metric(
-    world: World, gain: NDArray[np.float64], picks: NDArray[np.int64], served: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _metric(world: World, gain: Floats, picks: Ints, served: Bools) -> Floats:
     """R_k or eta_k of arrays that broadcast to (..., K), as the AP would allocate them; or 0."""
     arrays = np.broadcast_arrays(gain, picks, served)
     flat = (array.reshape(-1, array.shape[-1]) for array in arrays)

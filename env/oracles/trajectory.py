@@ -12,9 +12,8 @@ import copy
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from env.mdp.reward import motion_energy_j
+from env.arrays import Bools, Floats, Ints
 from env.oracles import paths, per_slot
 from env.world import World
 
@@ -34,16 +33,14 @@ class Trajectory:
         sweeps: the value at the start and after each sweep over the robots.
     """
 
-    phase: NDArray[np.int64]
-    direction: NDArray[np.int64]
-    level: NDArray[np.int64]
+    phase: Ints
+    direction: Ints
+    level: Ints
     value: float
     sweeps: tuple[float, ...]
 
 
-def best_trajectory(
-    world: World, start: NDArray[np.int64], slack: int = 4, max_sweeps: int = 10
-) -> Trajectory:
+def best_trajectory(world: World, start: Ints, slack: int = 4, max_sweeps: int = 10) -> Trajectory:
     """Plans an episode whose robots all arrive, each at most ``slack`` slots after the soonest.
 
     Args:
@@ -51,9 +48,6 @@ def best_trajectory(
         start: the cells that the robots start from, shape (K,).
         slack: extra slots that a robot may take, each number of them being tried.
         max_sweeps: most sweeps over the robots.
-
-    Returns:
-        The plan.
 
     Raises:
         ValueError: channels change in each slot, or a robot has no way that ends in time.
@@ -74,7 +68,7 @@ def best_trajectory(
     return planner.plan(values)
 
 
-def shortest_ways(world: World, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+def shortest_ways(world: World, cell: Ints) -> Ints:
     """The next moves of shortest ways, shape (..., K), from cells of that shape."""
     there = copy.copy(world)
     there.cell = cell
@@ -89,24 +83,22 @@ class _Planner:
         cells: the cells of each robot in each slot that it drives, and at last its destination.
     """
 
-    def __init__(self, world: World, start: NDArray[np.int64], slack: int) -> None:
+    def __init__(self, world: World, start: Ints, slack: int) -> None:
         self.world = copy.copy(world)  # of its own cells, sharing the tables
         self.start, self.slack, self.after = start, slack, world.next_cell
         self.blocks = world.config.collisions == "block"
         self.ways: list[paths.Path] = []
-        self.cells: list[NDArray[np.int64]] = []
+        self.cells: list[Ints] = []
         for robot in range(world.robots):
             path = self._first(robot)
             self.ways.append(path)
             self.cells.append(paths.cells_along(self.after, int(start[robot]), path))
 
-    def best(self, cells: list[NDArray[np.int64]]) -> per_slot.BestSlots:
+    def best(self, cells: list[Ints]) -> per_slot.BestSlots:
         """The oracle of each slot along paths given by their cells, arrays (1, T, ...)."""
         slots = np.array([len(path) - 1 for path in cells])
-        time = np.arange(slots.max(initial=0))[:, None]
-        at = np.minimum(time, slots)
-        cell = np.stack([path[i] for path, i in zip(cells, at.T, strict=True)], axis=-1)
-        return self._oracle(cell, time < slots, self._weights(slots)[None])
+        cell, driving = _places(cells, np.arange(slots.max(initial=0)))
+        return self._oracle(cell, driving, slots[None])
 
     def improve(self, robot: int, value: float) -> float:
         """Takes a robot's best path if it makes the value larger; returns the value."""
@@ -154,7 +146,7 @@ class _Planner:
             f" way of at most {self.slack} extra slots; allowed is a horizon that leaves it one"
         )
 
-    def _respond(self, robot: int, rest: NDArray[np.float64]) -> tuple[float, paths.Path] | None:
+    def _respond(self, robot: int, rest: Floats) -> tuple[float, paths.Path] | None:
         """The robot's best path and the value of all with it; None if there is none."""
         horizons = list(self._horizons(robot))
         if not horizons:
@@ -175,24 +167,18 @@ class _Planner:
                 best = value, path
         return best
 
-    def _stages(
-        self, robot: int, used: NDArray[np.bool_], horizons: list[int]
-    ) -> NDArray[np.float64]:
+    def _stages(self, robot: int, used: Bools, horizons: list[int]) -> Floats:
         """What a slot with the robot in a cell is worth, shape (horizons, T, cells), or -inf."""
         time, cell = np.nonzero(used)
-        slots = np.array([len(path) - 1 for path in self.cells])
-        at = np.minimum(time[:, None], slots)
-        cells = np.stack([path[i] for path, i in zip(self.cells, at.T, strict=True)], axis=-1)
-        driving = time[:, None] < slots
+        cells, driving = _places(self.cells, time)
         cells[:, robot], driving[:, robot] = cell, True
-        taken = np.tile(slots, (len(horizons), 1))
-        taken[:, robot] = horizons
-        weights = np.stack([self._weights(each) for each in taken])[:, None]
+        slots = np.tile([len(path) - 1 for path in self.cells], (len(horizons), 1))
+        slots[:, robot] = horizons
         stages = np.full((len(horizons), *used.shape), -np.inf)
-        stages[:, time, cell] = self._oracle(cells, driving, weights).value
+        stages[:, time, cell] = self._oracle(cells, driving, slots).value
         return stages
 
-    def _moves(self, robot: int, slots: int) -> NDArray[np.bool_]:
+    def _moves(self, robot: int, slots: int) -> Bools:
         """Which moves the robot may make in each slot, shape (slots, cells, 4)."""
         others = [path for other, path in enumerate(self.cells) if other != robot]
         later = range(max(len(self.cells), robot + 1), self.world.robots)
@@ -209,18 +195,16 @@ class _Planner:
         last = min(soonest + self.slack, self.world.config.motion.max_slots)
         return range(soonest, last + 1)
 
-    def _weights(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
-        """1 / (T_k E_k) of robots that drive for so many slots, shape (1, K) of (K,)."""
-        slots = np.maximum(slots, 1)
-        energy_j = motion_energy_j(slots * self.world.slot_s, self.world.config.motion)
-        return np.asarray(1.0 / (slots * energy_j))
-
-    def _oracle(
-        self,
-        cell: NDArray[np.int64],
-        driving: NDArray[np.bool_],
-        weights: NDArray[np.float64],
-    ) -> per_slot.BestSlots:
+    def _oracle(self, cell: Ints, driving: Bools, slots: Ints) -> per_slot.BestSlots:
+        """The oracle of T slots, cells (T, K), for W sets of slots to drive, (W, K)."""
         self.world.cell, self.world.driving = cell, driving
-        weights = np.broadcast_to(weights, (len(weights), *cell.shape))
-        return per_slot.best_slots(self.world, weights)
+        weights = per_slot.objective_weights(self.world, slots)[:, None]
+        return per_slot.best_slots(self.world, np.broadcast_to(weights, (len(slots), *cell.shape)))
+
+
+def _places(cells: list[Ints], time: Ints) -> tuple[Ints, Bools]:
+    """Where robots are after so many slots, (T,), of their paths, and who drives then; (T, K)."""
+    slots = np.array([len(path) - 1 for path in cells])
+    at = np.minimum(time[:, None], slots)
+    cell = np.stack([path[i] for path, i in zip(cells, at.T, strict=True)], axis=-1)
+    return cell, time[:, None] < slots

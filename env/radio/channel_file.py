@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from env.arrays import Complexes
 from env.config import EnvConfig
 from env.geometry.floor import Floor
 from env.plugins import PluginError, Tables
@@ -47,10 +48,7 @@ _DAMAGED = (
 
 
 def write_channels(
-    path: str | Path,
-    config: EnvConfig,
-    direct: NDArray[np.complex128],
-    reflected: NDArray[np.complex128],
+    path: str | Path, config: EnvConfig, direct: Complexes, reflected: Complexes
 ) -> None:
     """Writes channels as a file that ``env.channel.model=file`` reads.
 
@@ -207,7 +205,7 @@ def _check_made_for(name: str, text: str, config: EnvConfig) -> None:
 
 def _table(
     name: str, which: str, table: NDArray[Any], shape: tuple[int, ...], meaning: str
-) -> NDArray[np.complex128]:
+) -> Complexes:
     """One of the tables, if it is what it must be."""
     if table.shape != shape:
         say = f"of shape {shape}, {meaning}, and not {table.shape}"

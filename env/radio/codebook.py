@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Complexes, Floats, Ints
 from env.config import EnvConfig
 from env.geometry.floor import Floor
 from env.radio.propagation import (
@@ -39,8 +39,8 @@ class Panel(NamedTuple):
         excess: ``propagation.far_excess_m`` or ``propagation.near_excess_m``.
     """
 
-    ap_m: NDArray[np.float64]
-    offsets_m: NDArray[np.float64]
+    ap_m: Floats
+    offsets_m: Floats
     wavelength_m: float
     excess: Excess
 
@@ -55,37 +55,27 @@ class Panel(NamedTuple):
             far_excess_m if ris.response == "far" else near_excess_m,
         )
 
-    def waves(self, points_m: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """e^{-jk (path over the element - path over the centre)} of each element.
+    def waves(self, points_m: Floats) -> Complexes:
+        """e^{-jk (path over the element - path over the centre)}, shape (P, M).
 
-        Args:
-            points_m: from the panel's centre to each point, shape (P, 3).
-
-        Returns:
-            Factors of size 1, shape (P, M).
+        Points are offsets from the panel's centre in m, shape (P, 3).
         """
         feed = self.excess(self.ap_m[None], self.offsets_m)
         return path_phase(feed + self.excess(points_m, self.offsets_m), self.wavelength_m)
 
 
-def sector_of_cells(floor: Floor, columns: int, rows: int) -> NDArray[np.int64]:
+def sector_of_cells(floor: Floor, columns: int, rows: int) -> Ints:
     """The sector that each cell belongs to, row by row from the bottom up, shape (cells,)."""
     row, column = np.divmod(np.arange(floor.cells), floor.columns)
     return np.asarray((row * rows // floor.rows) * columns + column * columns // floor.columns)
 
 
-def focus(waves: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Phases that serve all points of a sector, by alternating optimisation.
+def focus(waves: Complexes) -> Floats:
+    """Phases theta_m in rad, (M,), that serve all points of a sector: alternating optimisation.
 
     Begins with the focus on the middle point. Each round takes the phase that the summed wave has
     at each point as the one to aim for, and then aligns every element with all points' aims: the
-    mean over the points of the summed wave's size never falls.
-
-    Args:
-        waves: each element's wave at the sector's points, shape (P, M).
-
-    Returns:
-        theta_m in rad, shape (M,).
+    mean over the points of the summed wave's size never falls. Waves have shape (P, M).
     """
     theta = np.conj(waves[len(waves) // 2])
     for _ in range(ITERATIONS):
@@ -93,31 +83,26 @@ def focus(waves: NDArray[np.complex128]) -> NDArray[np.float64]:
     return np.asarray(np.angle(theta))
 
 
-def _align(waves: NDArray[np.complex128], theta: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _align(waves: Complexes, theta: Complexes) -> Complexes:
     """One round of ``focus``: factors e^{j theta_m}, shape (M,)."""
     total = waves @ theta
     return np.asarray(np.exp(1j * np.angle(np.conj(waves).T @ np.exp(1j * np.angle(total)))))
 
 
-def quantise(theta: NDArray[np.float64], bits: int) -> NDArray[np.int64]:
+def quantise(theta: Floats, bits: int) -> Ints:
     """The index of the nearest phase of ``propagation.phases``, for phases in rad, same shape."""
     count = 2**bits
     return np.asarray(np.floor(theta / (2.0 * np.pi / count)).astype(np.int64) % count)
 
 
-def beams(
-    panel: Panel, points_m: NDArray[np.float64], sector: NDArray[np.int64], bits: int
-) -> NDArray[np.int64]:
-    """The phase index of every element in every beam.
+def beams(panel: Panel, points_m: Floats, sector: Ints, bits: int) -> Ints:
+    """The phase index of every element in every beam, shape (sectors, M).
 
     Args:
         panel: the surface.
         points_m: from the panel's centre to each cell, shape (cells, 3).
         sector: the sector of each cell, shape (cells,); each has one at least.
         bits: b, with N_R = 2^b.
-
-    Returns:
-        Indices into ``propagation.phases``, shape (sectors, M).
     """
     count, elements = int(sector.max()) + 1, len(panel.offsets_m)
     index = np.empty((count, elements), dtype=np.int64)
@@ -129,19 +114,13 @@ def beams(
     return index
 
 
-def factors(
-    panel: Panel, points_m: NDArray[np.float64], index: NDArray[np.int64], bits: int
-) -> NDArray[np.complex128]:
-    """The elements' waves summed under each beam; c is |g| |h| times that.
+def factors(panel: Panel, points_m: Floats, index: Ints, bits: int) -> Complexes:
+    """The elements' waves summed under each beam, M at most in size; c is |g| |h| times that.
 
-    Args:
-        panel: the surface.
-        points_m: from the panel's centre to each cell, shape (cells, 3).
-        index: each beam's phase indices, shape (beams, M).
-        bits: b.
+    Arguments are as of ``beams``, which gives ``index``.
 
     Returns:
-        Factors, M at most in size, shape (cells, beams).
+        Factors, shape (cells, beams).
     """
     theta = np.exp(1j * phases(bits))[index].T
     table = np.empty((len(points_m), len(index)), dtype=np.complex128)

@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Complexes, Floats, Ints
 from env.config import RisConfig
 from env.radio.radio_map import RadioMap
 
@@ -39,10 +39,10 @@ class Reports(NamedTuple):
         direct: hbar of the cell, from the AP's state, shape (R,).
     """
 
-    cell: NDArray[np.int64]
-    phase: NDArray[np.int64]
-    gain: NDArray[np.float64]
-    direct: NDArray[np.complex128]
+    cell: Ints
+    phase: Ints
+    gain: Floats
+    direct: Complexes
 
 
 def refuse(ris: RisConfig) -> None:
@@ -64,9 +64,7 @@ def refuse(ris: RisConfig) -> None:
         )
 
 
-def fuse(
-    reports: Reports, centres_m: NDArray[np.float64], settings: NDArray[np.complex128]
-) -> RadioMap:
+def fuse(reports: Reports, centres_m: Floats, settings: Complexes) -> RadioMap:
     """The radio map that reports give.
 
     * hbar: as known where somebody passed; elsewhere the neighbours' mean power, phase 0.
@@ -103,7 +101,7 @@ def fuse(
     )
 
 
-def _direct(reports: Reports, centres_m: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _direct(reports: Reports, centres_m: Floats) -> Complexes:
     """Hbar of every cell, shape (cells,)."""
     direct = np.zeros(len(centres_m), dtype=np.complex128)
     direct[reports.cell] = reports.direct
@@ -114,12 +112,8 @@ def _direct(reports: Reports, centres_m: NDArray[np.float64]) -> NDArray[np.comp
 
 
 def _fitted(
-    cell: NDArray[np.int64],
-    turn: NDArray[np.complex128],
-    gain: NDArray[np.float64],
-    direct: NDArray[np.complex128],
-    enough: NDArray[np.bool_],
-) -> NDArray[np.complex128]:
+    cell: Ints, turn: Complexes, gain: Floats, direct: Complexes, enough: Bools
+) -> Complexes:
     """C by least squares in the cells with enough phases, 0 elsewhere, shape (cells,)."""
     row = np.column_stack([np.ones(len(turn)), 2.0 * turn.real, -2.0 * turn.imag])
     excess = gain / np.abs(direct[cell]) ** 2 - 1.0
@@ -132,9 +126,7 @@ def _fitted(
     return reflected
 
 
-def _lean(
-    reflected: NDArray[np.complex128], known: NDArray[np.bool_], centres_m: NDArray[np.float64]
-) -> None:
+def _lean(reflected: Complexes, known: Bools, centres_m: Floats) -> None:
     """Puts the neighbours' mean |c|, in their mean direction, where c is not known."""
     if not known.any():
         return
@@ -145,12 +137,7 @@ def _lean(
 
 
 def _agree(
-    reflected: NDArray[np.complex128],
-    cell: NDArray[np.int64],
-    turn: NDArray[np.complex128],
-    gain: NDArray[np.float64],
-    direct: NDArray[np.complex128],
-    number: NDArray[np.int64],
+    reflected: Complexes, cell: Ints, turn: Complexes, gain: Floats, direct: Complexes, number: Ints
 ) -> None:
     """Moves c of cells with one or two phases to the nearest value that gives the gains there.
 
@@ -172,9 +159,7 @@ def _agree(
     reflected[cell[at]] = either[nearer, np.arange(len(at))]
 
 
-def _near(
-    centres_m: NDArray[np.float64], known: NDArray[np.bool_], values: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _near(centres_m: Floats, known: Bools, values: Floats) -> Floats:
     """Means of the known cells' values, shape (known, V), at the others, by their distances."""
     sources, targets = centres_m[known], centres_m[~known]
     found = np.empty((len(targets), values.shape[1]))

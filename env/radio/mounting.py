@@ -6,12 +6,12 @@ edge all links lie on one side, and past a wall's end a link leaves the wall whe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats
 from env.config import EnvConfig
 from env.geometry.floor import Floor, line_of_sight
 from env.validate import Problem
@@ -20,9 +20,7 @@ TOUCH_M = 1e-9
 """What is no farther than that from a wall, or from the room's edge, lies on it."""
 
 
-def sees(
-    floor: Floor, device_m: Sequence[float] | NDArray[np.float64], points_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def sees(floor: Floor, device_m: Sequence[float] | Floats, points_m: Floats) -> Bools:
     """Which points are in line of sight of an AP or RIS.
 
     A link is blocked by a wall that it touches, its far end included. There are two exceptions: a
@@ -42,9 +40,7 @@ def sees(
     return np.asarray(seen & ~_leaves_along(walls, device, points_m))
 
 
-def see_each_other(
-    floor: Floor, first_m: Sequence[float], second_m: Sequence[float]
-) -> NDArray[np.bool_]:
+def see_each_other(floor: Floor, first_m: Sequence[float], second_m: Sequence[float]) -> Bools:
     """Whether two devices are in line of sight; ``sees``, with both ends hanging; shape (1,)."""
     first, second = (np.asarray(place, dtype=np.float64)[:2] for place in (first_m, second_m))
     walls = inner_walls(floor)
@@ -53,51 +49,47 @@ def see_each_other(
     return np.asarray(seen & ~_leaves_along(walls, second, first[None]))
 
 
-def inner_walls(floor: Floor) -> NDArray[np.float64]:
+def inner_walls(floor: Floor) -> Floats:
     """The walls but those along the room's edge, which have nothing behind them, shape (W, 4)."""
     ends, size_m = floor.walls.reshape(-1, 2, 2), floor.size_m
     along = [np.abs(ends - side).max(axis=1) <= TOUCH_M for side in (np.zeros(2), size_m)]
     return np.asarray(floor.walls[~np.logical_or(*along).any(axis=-1)])
 
 
-def problems(config: EnvConfig) -> list[Problem]:
+def problems(config: EnvConfig) -> Iterator[Problem]:
     """Whether the AP or the RIS is inside a wall, where it would see nothing."""
     walls = inner_walls(Floor.from_config(config))
     devices = [("env.ap.position_m", config.ap.position_m)]
     if config.ris.side:
         devices.append(("env.ris.position_m", config.ris.position_m))
-    found: list[Problem] = []
     for key, position in devices:
         inside = _holding(walls, np.asarray(position[:2], dtype=np.float64))
         if len(inside):
             say = "a place off the walls, at a wall's end or on the room's edge, and not inside"
-            found.append((key, position, f"{say} {inside[0].tolist()} of env.walls.segments"))
-    return found
+            yield key, position, f"{say} {inside[0].tolist()} of env.walls.segments"
 
 
-def _ending_at(walls: NDArray[np.float64], place_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _ending_at(walls: Floats, place_m: Floats) -> Bools:
     """Which walls have an end at a place, shape (W,)."""
     apart_m = np.linalg.norm(walls.reshape(-1, 2, 2) - place_m, axis=-1)
     return np.asarray((apart_m <= TOUCH_M).any(axis=-1))
 
 
-def _far_ends(walls: NDArray[np.float64], place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _far_ends(walls: Floats, place_m: Floats) -> Floats:
     """The other ends of the walls that end at a place, shape (n, 2)."""
     ends = walls[_ending_at(walls, place_m)].reshape(-1, 2, 2)
     far = np.linalg.norm(ends - place_m, axis=-1).argmax(axis=-1)
     return np.asarray(ends[np.arange(len(ends)), far])
 
 
-def _leaves_along(
-    walls: NDArray[np.float64], device_m: NDArray[np.float64], points_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _leaves_along(walls: Floats, device_m: Floats, points_m: Floats) -> Bools:
     """Which links run along a wall that ends at the device, shape (P,)."""
     far_m = _far_ends(walls, device_m)
     ahead_m, aside_m = _offsets_m(device_m, far_m, points_m[:, None])
     return np.asarray(((ahead_m > TOUCH_M) & (aside_m <= TOUCH_M)).any(axis=-1))
 
 
-def _holding(walls: NDArray[np.float64], place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _holding(walls: Floats, place_m: Floats) -> Floats:
     """The walls with a place between their ends, shape (n, 4).
 
     A wall may be drawn in parts: two that end at the place count where they go straight on.
@@ -112,9 +104,7 @@ def _holding(walls: NDArray[np.float64], place_m: NDArray[np.float64]) -> NDArra
     return np.asarray(walls[inside])
 
 
-def _offsets_m(
-    start_m: NDArray[np.float64], stop_m: NDArray[np.float64], points_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _offsets_m(start_m: Floats, stop_m: Floats, points_m: Floats) -> tuple[Floats, Floats]:
     """How far points lie ahead on the line start-stop, and how far beside it; broadcast, (...)."""
     line = stop_m - start_m
     line = line / np.linalg.norm(line, axis=-1, keepdims=True)

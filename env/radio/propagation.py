@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+
+from env.arrays import Bools, Complexes, Floats
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0
 MAX_AT_ONCE = 2**17
@@ -14,18 +15,13 @@ MAX_AT_ONCE = 2**17
 _TINY_M = 1e-9  # keeps directions finite at the panel's centre itself
 
 
-def path_loss_db(
-    distance_m: NDArray[np.float64], frequency_ghz: float, los: NDArray[np.bool_] | bool
-) -> NDArray[np.float64]:
-    """Path loss of the indoor hotspot, 3GPP TR 38.901 Table 7.4.1-1.
+def path_loss_db(distance_m: Floats, frequency_ghz: float, los: Bools | bool) -> Floats:
+    """Path loss in dB of the indoor hotspot, 3GPP TR 38.901 Table 7.4.1-1.
 
     Args:
         distance_m: 3-D distance in m, any shape, above 0.
         frequency_ghz: carrier frequency in GHz.
         los: whether the link is in line of sight, broadcast with ``distance_m``.
-
-    Returns:
-        Loss in dB, of the broadcast shape.
     """
     log_d, log_f = np.log10(distance_m), np.log10(frequency_ghz)
     clear = 32.4 + 17.3 * log_d + 20.0 * log_f
@@ -33,7 +29,7 @@ def path_loss_db(
     return np.asarray(np.where(los, clear, blocked))
 
 
-def amplitude(loss_db: NDArray[np.float64]) -> NDArray[np.float64]:
+def amplitude(loss_db: Floats) -> Floats:
     """The amplitude gain of a link with a given loss in dB, same shape."""
     return np.asarray(10.0 ** (-loss_db / 20.0))
 
@@ -43,7 +39,7 @@ def wavelength_m(frequency_ghz: float) -> float:
     return SPEED_OF_LIGHT_MPS / (frequency_ghz * 1e9)
 
 
-def path_phase(distance_m: NDArray[np.float64], wavelength_m: float) -> NDArray[np.complex128]:
+def path_phase(distance_m: Floats, wavelength_m: float) -> Complexes:
     """e^{-jkd} of paths of a given length in m, same shape."""
     angle = -2.0 * np.pi * (distance_m / wavelength_m)
     turn = np.empty(np.shape(angle), dtype=np.complex128)
@@ -52,20 +48,15 @@ def path_phase(distance_m: NDArray[np.float64], wavelength_m: float) -> NDArray[
     return turn
 
 
-def small_scale_fading(
-    los: NDArray[np.bool_], rician_k_db: float, generator: np.random.Generator
-) -> NDArray[np.complex128]:
-    """Fading of unit mean power: Rician in line of sight, Rayleigh out of it.
+def small_scale_fading(los: Bools, rician_k_db: float, generator: np.random.Generator) -> Complexes:
+    """Fading of unit mean power, same shape: Rician in line of sight, Rayleigh out of it.
 
     The line-of-sight part has phase zero (``docs/assumptions.md``, C-PHASE).
 
     Args:
-        los: whether each link is in line of sight, any shape.
+        los: whether each link is in line of sight.
         rician_k_db: power of the line-of-sight part over the scattered part, in dB.
         generator: the source of the scattered part.
-
-    Returns:
-        Complex factors, same shape.
     """
     parts = generator.standard_normal((2, *los.shape)) / np.sqrt(2.0)
     scattered = parts[0] + 1j * parts[1]
@@ -75,18 +66,15 @@ def small_scale_fading(
 
 
 def coherent_response(
-    incoming: float, outgoing: NDArray[np.float64], elements: int, subsurfaces: int
-) -> NDArray[np.complex128]:
-    """c_n: the elements of each sub-surface add in phase.
+    incoming: float, outgoing: Floats, elements: int, subsurfaces: int
+) -> Complexes:
+    """c_n(q) = (M / N) |g| |h|, shape (P, N): the elements of each sub-surface add in phase.
 
     Args:
         incoming: amplitude |g| from the AP to an element.
         outgoing: amplitude |h| from an element to each point, shape (P,).
         elements: M.
         subsurfaces: N, a divisor of M.
-
-    Returns:
-        c_n(q) = (M / N) |g| |h|, shape (P, N).
     """
     each = (elements // subsurfaces) * incoming * outgoing
     return np.repeat(each[:, None], subsurfaces, axis=1).astype(np.complex128)
@@ -94,11 +82,11 @@ def coherent_response(
 
 def rayleigh_response(
     incoming: float,
-    outgoing: NDArray[np.float64],
+    outgoing: Floats,
     elements: int,
     subsurfaces: int,
     generator: np.random.Generator,
-) -> NDArray[np.complex128]:
+) -> Complexes:
     """c_n: elements that fade independently, h_m and g_m circular Gaussian.
 
     Given all g_m, the sum of h_m g_m over a sub-surface is Gaussian with variance
@@ -121,23 +109,16 @@ def rayleigh_response(
     return np.asarray(h * deviation)
 
 
-def _circular_gaussian(
-    shape: tuple[int, ...], generator: np.random.Generator
-) -> NDArray[np.complex128]:
+def _circular_gaussian(shape: tuple[int, ...], generator: np.random.Generator) -> Complexes:
     parts = generator.standard_normal((2, *shape)) / np.sqrt(2.0)
     return np.asarray(parts[0] + 1j * parts[1])
 
 
-def element_offsets_m(side: int, spacing_m: float, axis: str) -> NDArray[np.float64]:
-    """Where the elements of a vertical panel are, seen from its centre.
+def element_offsets_m(side: int, spacing_m: float, axis: str) -> Floats:
+    """Where the elements of a vertical panel are, seen from its centre in m, shape (M_R^2, 3).
 
-    Args:
-        side: M_R, elements along each edge.
-        spacing_m: distance of neighbours.
-        axis: the panel's horizontal direction, ``x`` or ``y``.
-
-    Returns:
-        Offsets in m, row by row from the bottom up, shape (M_R^2, 3).
+    Row by row from the bottom up: M_R = ``side`` along each edge, ``spacing_m`` apart, and
+    ``axis``, x or y, being the horizontal one.
     """
     along = (np.arange(side) - (side - 1) / 2.0) * spacing_m
     offsets = np.zeros((side, side, 3))
@@ -146,24 +127,19 @@ def element_offsets_m(side: int, spacing_m: float, axis: str) -> NDArray[np.floa
     return offsets.reshape(-1, 3)
 
 
-Excess = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+Excess = Callable[[Floats, Floats], Floats]
 
 
-def far_excess_m(to: NDArray[np.float64], offsets_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How much longer a point's path is to each element than to the centre: plane waves.
+def far_excess_m(to: Floats, offsets_m: Floats) -> Floats:
+    """How much longer a point's path is to each element than to the centre, in m: plane waves.
 
-    Args:
-        to: from the panel's centre to each point in m, shape (P, 3).
-        offsets_m: from the centre to each element, shape (M, 3).
-
-    Returns:
-        Differences in m, shape (P, M).
+    Points, (P, 3), and elements, (M, 3), are offsets from the panel's centre in m; shape (P, M).
     """
     distance = np.linalg.norm(to, axis=-1, keepdims=True)
     return np.asarray(-(to / np.maximum(distance, _TINY_M)) @ offsets_m.T)
 
 
-def near_excess_m(to: NDArray[np.float64], offsets_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def near_excess_m(to: Floats, offsets_m: Floats) -> Floats:
     """As ``far_excess_m``, with the exact distance of each element.
 
     |to - offset| - |to|, as a quotient in which nothing cancels far away.
@@ -175,13 +151,13 @@ def near_excess_m(to: NDArray[np.float64], offsets_m: NDArray[np.float64]) -> ND
 
 
 def array_factor(
-    ap_m: NDArray[np.float64],
-    points_m: NDArray[np.float64],
-    offsets_m: NDArray[np.float64],
+    ap_m: Floats,
+    points_m: Floats,
+    offsets_m: Floats,
     subsurfaces: int,
     wavelength_m: float,
     excess: Excess,
-) -> NDArray[np.complex128]:
+) -> Complexes:
     """The sum of e^{-jk (path over the element - path over the centre)} over each sub-surface.
 
     Lengths are in m; c_n(q) is |g| |h| times this factor.
@@ -210,23 +186,16 @@ def array_factor(
     return factor
 
 
-def phases(bits: int) -> NDArray[np.float64]:
+def phases(bits: int) -> Floats:
     """The phase shifts that an element can take, in rad, shape (2^b,), Section II-A."""
     count = 2**bits
     return np.asarray((np.arange(count) + 0.5) * 2.0 * np.pi / count)
 
 
-def phase_settings(bits: int, subsurfaces: int) -> NDArray[np.complex128]:
-    """e^{j theta} of every action of the AP.
+def phase_settings(bits: int, subsurfaces: int) -> Complexes:
+    """e^{j theta} of every action of the AP, shape (N_R^N, N), with N_R = 2^b.
 
     Action ``a``'s base-N_R digits are the N phase indices, the first sub-surface's last.
-
-    Args:
-        bits: b, with N_R = 2^b.
-        subsurfaces: N.
-
-    Returns:
-        Factors, shape (N_R^N, N).
     """
     count = 2**bits
     action = np.arange(count**subsurfaces)

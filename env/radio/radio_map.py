@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from env import plugins
+from env.arrays import Bools, Complexes, Floats, Floats32, Ints
 from env.config import EnvConfig, RisConfig, phase_actions
 from env.geometry.floor import Floor
 from env.radio import codebook, mounting, propagation
@@ -36,29 +36,21 @@ class RadioMap:
         codebook: whether an action is a beam, a column of ``reflected``.
     """
 
-    direct: NDArray[np.complex128]
-    reflected: NDArray[np.complex128]
-    settings: NDArray[np.complex128]
-    direct_db: NDArray[np.float32]
-    direct_los: NDArray[np.bool_]
-    ris_los: NDArray[np.bool_]
+    direct: Complexes
+    reflected: Complexes
+    settings: Complexes
+    direct_db: Floats32
+    direct_los: Bools
+    ris_los: Bools
     codebook: bool = False
 
-    def channel(
-        self,
-        cell: NDArray[np.int64],
-        phase_action: NDArray[np.int64],
-        direct: NDArray[np.complex128] | None = None,
-    ) -> NDArray[np.complex128]:
-        """The combined channel h_k = h_k Theta g + hbar_k, which enters Eq. (1).
+    def channel(self, cell: Ints, phase_action: Ints, direct: Complexes | None = None) -> Complexes:
+        """The combined channel h_k = h_k Theta g + hbar_k, which enters Eq. (1), shape (..., K).
 
         Args:
             cell: where the robots are, shape (..., K).
             phase_action: the AP's action, shape (...).
             direct: hbar_k where it is not the map's, shape (..., K).
-
-        Returns:
-            h_k, shape (..., K).
         """
         if self.codebook:
             reflected = self.reflected[cell, phase_action[..., None]]
@@ -67,19 +59,14 @@ class RadioMap:
             reflected = (self.reflected[cell] * theta[..., None, :]).sum(axis=-1)
         return np.asarray((self.direct[cell] if direct is None else direct) + reflected)
 
-    def gain(
-        self,
-        cell: NDArray[np.int64],
-        phase_action: NDArray[np.int64],
-        direct: NDArray[np.complex128] | None = None,
-    ) -> NDArray[np.float64]:
+    def gain(self, cell: Ints, phase_action: Ints, direct: Complexes | None = None) -> Floats:
         """|h_k|^2 of ``channel``, with the same arguments; looked up where there are few."""
         if direct is None and self._gains is not None:
             return self._gains[phase_action[..., None], cell]
         return _squared(self.channel(cell, phase_action, direct))
 
     @cached_property
-    def _gains(self) -> NDArray[np.float64] | None:
+    def _gains(self) -> Floats | None:
         """|h|^2 for every action at every cell, shape (A, cells); None where that is a lot."""
         shape = (len(self.settings), len(self.direct))
         if shape[0] * shape[1] > MAX_TABLE:
@@ -88,17 +75,13 @@ class RadioMap:
         return _squared(self.channel(cell, np.arange(shape[0])))
 
 
-def _squared(channel: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _squared(channel: Complexes) -> Floats:
     """|h|^2, same shape."""
     return np.asarray(channel.real**2 + channel.imag**2)
 
 
 def build_radio_map(config: EnvConfig, floor: Floor | None = None) -> RadioMap:
-    """Builds the tables of a configuration from its ``map_seed``.
-
-    Args:
-        config: the environment.
-        floor: its floor; made if None.
+    """Builds the tables of a configuration from its ``map_seed``; its floor is made if None.
 
     Raises:
         PluginError: the user's channel model or file is not there or does not fit.
@@ -125,16 +108,14 @@ def build_radio_map(config: EnvConfig, floor: Floor | None = None) -> RadioMap:
     )
 
 
-def _settings(ris: RisConfig) -> NDArray[np.complex128]:
+def _settings(ris: RisConfig) -> Complexes:
     """What the AP's actions are, ``RadioMap.settings``."""
     if ris.action == "codebook":
         return np.ones((phase_actions(ris), 1), dtype=np.complex128)
     return propagation.phase_settings(ris.bits, ris.subsurfaces)
 
 
-def _direct(
-    config: EnvConfig, at: NDArray[np.float64], los: NDArray[np.bool_]
-) -> NDArray[np.complex128]:
+def _direct(config: EnvConfig, at: Floats, los: Bools) -> Complexes:
     """The direct channel at points in m, shape (P,), without the fading of a slot."""
     channel = config.channel
     distance_m = _distance(at, np.asarray(config.ap.position_m))
@@ -149,9 +130,7 @@ def _direct(
     return direct
 
 
-def _reflected(
-    config: EnvConfig, floor: Floor, at: NDArray[np.float64], los: NDArray[np.bool_]
-) -> NDArray[np.complex128]:
+def _reflected(config: EnvConfig, floor: Floor, at: Floats, los: Bools) -> Complexes:
     """c_n at points in m, shape (P, N), or c under each beam, shape (P, beams)."""
     ap, ris = np.asarray(config.ap.position_m), np.asarray(config.ris.position_m)
     frequency = config.channel.frequency_ghz
@@ -177,10 +156,10 @@ def _response(
     config: EnvConfig,
     floor: Floor,
     incoming: float,
-    outgoing: NDArray[np.float64],
-    ap_m: NDArray[np.float64],
-    points_m: NDArray[np.float64],
-) -> NDArray[np.complex128]:
+    outgoing: Floats,
+    ap_m: Floats,
+    points_m: Floats,
+) -> Complexes:
     """c_n at points seen from the panel's centre, the phase at the centre zero, shape (P, N)."""
     ris = config.ris
     elements = ris.side**2
@@ -206,8 +185,6 @@ def _response(
     return incoming * outgoing[:, None] * factor
 
 
-def _distance(
-    points_m: NDArray[np.float64], end_m: NDArray[np.float64], least_m: float = 0.5
-) -> NDArray[np.float64]:
+def _distance(points_m: Floats, end_m: Floats, least_m: float = 0.5) -> Floats:
     """3-D distances in m, shape (P,); no shorter than half a metre, where the model ends."""
     return np.asarray(np.maximum(np.linalg.norm(points_m - end_m, axis=-1), least_m))

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from matplotlib import patheffects
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from env.arrays import Bools, Floats
 from env.config import EnvConfig
 from env.geometry.floor import Floor
 from env.radio.radio_map import RadioMap
+from env.world import World
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +27,7 @@ ROBOT_COLOURS = ("#e4572e", "#2e86de", "#f3b61f", "#8e44ad", "#16a085", "#d81b60
 _OUTLINE = [patheffects.withStroke(linewidth=3.2, foreground="white")]
 
 
-def best_gain_db(radio_map: RadioMap) -> NDArray[np.float64]:
+def best_gain_db(radio_map: RadioMap) -> Floats:
     """|h|^2 in dB at each cell under the phase setting that is best there, shape (cells,)."""
     cell = np.arange(len(radio_map.direct))
     amplitude = np.zeros(len(cell))
@@ -34,11 +38,6 @@ def best_gain_db(radio_map: RadioMap) -> NDArray[np.float64]:
 
 def draw_floor(axes: Axes, config: EnvConfig, radio_map: RadioMap) -> AxesImage:
     """Draws the radio map with walls, AP and RIS; cells that solid walls cut off have no gain.
-
-    Args:
-        axes: where to draw.
-        config: the environment.
-        radio_map: its tables.
 
     Returns:
         The image of the map, for a colour bar.
@@ -87,13 +86,10 @@ def _label(axes: Axes, position: list[float], text: str, offset: tuple[int, int]
     )
 
 
-def draw_ways(axes: Axes, ways_m: NDArray[np.float64], destinations_m: NDArray[np.float64]) -> None:
+def draw_ways(axes: Axes, ways_m: Floats, destinations_m: Floats) -> None:
     """Draws where robots drove: a dot at the start, a star at the destination.
 
-    Args:
-        axes: where to draw.
-        ways_m: positions in m, shape (slots + 1, K, 2).
-        destinations_m: shape (K, 2).
+    Ways are positions in m, shape (slots + 1, K, 2), destinations (K, 2).
     """
     for robot, goal in enumerate(destinations_m):
         way = ways_m[:, robot]
@@ -103,16 +99,14 @@ def draw_ways(axes: Axes, ways_m: NDArray[np.float64], destinations_m: NDArray[n
         axes.plot(*goal, "*", color=colour, markersize=15, mec="black", zorder=4)
 
 
-def draw_misses(
-    axes: Axes, ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]
-) -> None:
+def draw_misses(axes: Axes, ends_m: Floats, destinations_m: Floats) -> None:
     """Draws a cross where a robot ended that did not arrive; both of shape (K, 2)."""
     for robot in np.flatnonzero(missed(ends_m, destinations_m)):
         colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
         axes.plot(*ends_m[robot], "X", color=colour, markersize=10, mec="black", zorder=5)
 
 
-def missed(ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def missed(ends_m: Floats, destinations_m: Floats) -> Bools:
     """Which ends, shape (..., K, 2), are not at the destinations, shape (K, 2); shape (..., K)."""
     return np.asarray(~np.isclose(ends_m, destinations_m).all(axis=-1))
 
@@ -120,21 +114,13 @@ def missed(ends_m: NDArray[np.float64], destinations_m: NDArray[np.float64]) -> 
 def trajectory_figure(
     config: EnvConfig,
     radio_map: RadioMap,
-    ways_m: NDArray[np.float64],
-    destinations_m: NDArray[np.float64],
+    ways_m: Floats,
+    destinations_m: Floats,
     titles: list[str],
 ) -> Figure:
-    """Episodes beside each other, each over the radio map.
+    """Episodes beside each other, each over the radio map and under its title.
 
-    Args:
-        config: the environment.
-        radio_map: its tables.
-        ways_m: positions in m, shape (slots + 1, episodes, K, 2).
-        destinations_m: shape (K, 2).
-        titles: one an episode.
-
-    Returns:
-        The figure.
+    Ways are positions in m, shape (slots + 1, episodes, K, 2), destinations (K, 2).
     """
     count = len(titles)
     room = config.room
@@ -157,8 +143,38 @@ def trajectory_figure(
     return figure
 
 
-def _handle(marker: str, label: str):  # type: ignore[no-untyped-def]  # a Line2D, untyped there
-    from matplotlib.lines import Line2D
-
+def _handle(marker: str, label: str) -> Line2D:
     colour = {"^": "#00b894", "s": "#00cec9"}.get(marker, "#bbbbbb")
     return Line2D([], [], marker=marker, color=colour, mec="black", linestyle="", label=label)
+
+
+class Picture:
+    """The floor, drawn once; each frame adds the ways to a copy of its pixels.
+
+    Args:
+        world: whose floor it is.
+    """
+
+    def __init__(self, world: World) -> None:
+        figure = Figure(figsize=(4.8, 4.8), dpi=100, layout="constrained")
+        self._canvas = cast(Any, FigureCanvasAgg(figure))
+        self._axes = figure.subplots()
+        draw_floor(self._axes, world.config, world.radio_map)
+        self._axes.set_title(" ", fontsize=10)
+        self._canvas.draw()
+        self._floor = self._canvas.copy_from_bbox(figure.bbox)
+
+    def frame(self, ways_m: Floats, goals_m: Floats, title: str) -> NDArray[np.uint8]:
+        """The pixels with the ways so far, shape (480, 480, 3)."""
+        axes, still = self._axes, len(self._axes.lines)
+        self._canvas.restore_region(self._floor)
+        draw_ways(axes, ways_m, goals_m)
+        for robot, place in enumerate(ways_m[-1]):
+            colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+            axes.plot(*place, "o", color=colour, mec="black", markersize=10, zorder=5)
+        axes.title.set_text(title)
+        axes.draw_artist(axes.title)
+        for line in sorted(axes.lines[still:], key=lambda line: line.get_zorder()):
+            axes.draw_artist(line)
+            line.remove()
+        return np.array(self._canvas.buffer_rgba())[..., :3].copy()

@@ -10,9 +10,8 @@ from client_app.rooms import HostedRoom
 from conf import Config
 from experiments.analysis.frozen import played_by
 from training.evaluation import Evaluator
-from training.known_rooms import known_rooms
 from training.recording.history import MEASURES, mean
-from training.rooms import Weights
+from training.rooms import Weights, known_rooms
 from training.run_folder import RunFolder
 
 Measures = dict[str, float]

@@ -8,7 +8,7 @@ from pathlib import Path
 from conf import Config, ConfigError, fingerprint, has_rooms
 from training import resume
 from training.checkpoint import Checkpoint
-from training.known_rooms import known_rooms
+from training.rooms import known_rooms
 from training.run_folder import RunFolder
 
 TICKS_PER_EPISODE = 85

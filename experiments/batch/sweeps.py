@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -72,12 +72,9 @@ def planned_sweep(overrides: Sequence[str]) -> Iterator[Sweep]:
 def train_in_turn(
     configs: Sequence[Config], screen: Screen, on_failure: Callable[[Exception], object]
 ) -> BatchOutcome:
-    """Trains what is missing of some runs, one after the other in this process.
+    """Trains what is missing of checked runs with ``run.dir``, one after the other.
 
-    Args:
-        configs: checked ones with ``run.dir``.
-        screen: how each is shown.
-        on_failure: told what a run failed of; the others go on.
+    ``on_failure`` is told what a run failed of; the others go on.
     """
     done: list[Path] = []
     failed: dict[Path, str] = {}
@@ -116,16 +113,18 @@ def _numbered(configs: Sequence[Config], folder: Path) -> list[Config]:
     ]
 
 
-def _check_unused(folder: Path, configs: Sequence[Config]) -> None:
-    """Checks that a folder is free for a sweep, or holds it.
+def holds_runs_alone(folder: Path, files: Collection[str]) -> bool:
+    """Whether a folder is not there yet, or holds numbered folders and such files alone."""
+    if not folder.is_dir():
+        return not folder.exists()
+    return all(
+        path.name in files or (path.name.isdigit() and path.is_dir()) for path in folder.iterdir()
+    )
 
-    Raises:
-        ConfigError: it holds something else.
-    """
-    held = set(folder.iterdir()) if folder.is_dir() else set()
-    runs = {path for path in held if path.name.isdigit() and path.is_dir()}
-    left = {RunFolder(folder).stop_file, folder / HYDRAS}
-    if (folder.exists() and not folder.is_dir()) or held - runs - left:
+
+def _check_unused(folder: Path, configs: Sequence[Config]) -> None:
+    """Raises a ``ConfigError`` where a folder is neither free for a sweep nor holds it."""
+    if not holds_runs_alone(folder, {RunFolder(folder).stop_file.name, HYDRAS}):
         raise ConfigError.of([(DIR, folder, "a folder that is new or empty, or of this sweep")])
     for config in configs:
         check_unlocked(folder_of(config))

@@ -15,8 +15,8 @@ from experiments.batch.launcher import build_launcher
 from experiments.batch.states import State, cost_s, folder_of, state_of
 from experiments.batch.watch import Watch
 from experiments.batch.worker import Work
+from experiments.console import PLAIN
 from experiments.console.mishaps import in_words
-from experiments.console.plain import PLAIN
 from experiments.runtimes.folders import check_unlocked, run_lock
 from experiments.runtimes.stopping import ShieldedSignals
 from training.run_folder import RunFolder
@@ -66,7 +66,7 @@ def train(
     """
     workers = workers or _cores()
     runs = {folder_of(config): config for config in configs}
-    states = _states(runs)
+    states = {folder: state_of(config) for folder, config in runs.items()}
     left = [folder for folder, state in states.items() if state is not State.DONE]
     for folder in left:
         check_unlocked(folder)
@@ -74,17 +74,17 @@ def train(
     with ShieldedSignals(files, console) as signals:
         failed: dict[Path, str] = {}
         for _ in range(ATTEMPTS):
-            left = [folder for folder, state in states.items() if state is not State.DONE]
-            left = [folder for folder in left if folder not in failed]
             if not left or signals.asked:
                 break
             for folder in left:
                 _clear(folder, empties=empties and states[folder] is State.NEW)
-            done = len(runs) - sum(state is not State.DONE for state in states.values())
+            done = sum(state is State.DONE for state in states.values())
             missing = sorted((runs[folder] for folder in left), key=cost_s, reverse=True)
             _launch(missing, done, store, workers, hydra, signals, console)
-            states = _states(runs)
-            failed = _failed(states)
+            states = {folder: state_of(config) for folder, config in runs.items()}
+            left = [folder for folder, state in states.items() if state is not State.DONE]
+            failed = {each: why for each in left if (why := RunFolder(each).failure) is not None}
+            left = [folder for folder in left if folder not in failed]
     ended = tuple(folder for folder, state in states.items() if state is State.DONE)
     if signals.asked:
         return BatchOutcome(ended, {}, signals.status, signals.name)
@@ -97,10 +97,6 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _states(runs: Mapping[Path, Config]) -> dict[Path, State]:
-    return {folder: state_of(config) for folder, config in runs.items()}
-
-
 def _clear(folder: Path, *, empties: bool) -> None:
     """Removes what an earlier attempt said of its end; or all that a folder holds."""
     if empties and folder.exists():
@@ -108,16 +104,6 @@ def _clear(folder: Path, *, empties: bool) -> None:
             shutil.rmtree(folder)
     elif RunFolder(folder).failure is not None:
         RunFolder(folder).progress_file.unlink()
-
-
-def _failed(states: Mapping[Path, State]) -> dict[Path, str]:
-    """Why runs failed that say so, by folder."""
-    found = {}
-    for folder, state in states.items():
-        why = RunFolder(folder).failure
-        if state is not State.DONE and why is not None:
-            found[folder] = why
-    return found
 
 
 def _launch(
@@ -130,10 +116,7 @@ def _launch(
     console: Console,
 ) -> None:
     """Hands runs to Hydra's launcher and waits until all have ended."""
-    console.print(
-        f"{len(missing)} runs to train, {done} done before; {store}",
-        **PLAIN,
-    )
+    console.print(f"{len(missing)} runs to train, {done} done before; {store}", **PLAIN)
     work = Work(tuple(missing), RunFolder(store).stop_file, os.getpid())
     launcher = build_launcher(work, hydra, store, workers)
     with Watch(done, missing, signals, console):

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from conf import Config
 from experiments.batch.states import cost_s, folder_of
+from experiments.console import PLAIN
 from experiments.console.display import RUNNING, Showing, share_done
 from experiments.console.screen import Cell
 from experiments.runtimes.stopping import ShieldedSignals
@@ -25,15 +26,9 @@ SURE = 0.02
 
 
 class Watch(Showing):
-    """Shows how far all runs are, from what they write to their folders.
+    """Shows how far all runs are, from what they write, and looks after signals meanwhile.
 
-    A bar on a terminal; elsewhere a plain line every half minute.
-
-    Args:
-        done: how many runs were done before.
-        left: those that are trained now.
-        signals: looked after as often as the bar is drawn.
-        console: where to show.
+    A bar on a terminal; elsewhere a plain line every half minute. ``done`` runs were done before.
     """
 
     def __init__(
@@ -62,14 +57,13 @@ class Watch(Showing):
             while not self._ended.wait(POLL_S):
                 self._signals.look()
                 statuses = self._read()
-                bar.update(
-                    task, completed=self._worked_s(statuses), description=self._line(statuses)
-                )
+                line = self._line(statuses)
+                bar.update(task, completed=self._worked_s(statuses), description=line)
                 if cell is not None:
-                    cell.show(Text(self._line(statuses)))
+                    cell.show(Text(line))
                 elif not terminal and time.monotonic() - printed >= LINE_PERIOD_S:
                     printed = time.monotonic()
-                    self._console.print(self._line(statuses), highlight=False, soft_wrap=True)
+                    self._console.print(line, **PLAIN)
             if cell is not None:
                 cell.show(Text(self._line(self._read())))
 

@@ -37,8 +37,7 @@ class Work:
     def __call__(self, node: DictConfig) -> None:
         """Trains what is missing of a run; its folder says what became of it.
 
-        Args:
-            node: as Hydra composed it; the run's configuration was made and checked before.
+        Its configuration was made and checked before, whatever Hydra has composed.
         """
         config = self.configs[int(HydraConfig.get().job.num)]
         folder = RunFolder.of(config)

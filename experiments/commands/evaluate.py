@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 from agent import single_threaded
@@ -26,12 +23,8 @@ EPSILONS = (0.0, 0.05)
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
-    try:
-        check_place("--json", given.json)
-        config, results = _results(given)
-    except ConfigError as error:
-        print(f"risfleet: {error}", file=sys.stderr)
-        return 2
+    check_place("--json", given.json)
+    config, results = _results(given)
     episodes = given.episodes or config.evaluation.episodes
     each = " in each room" if has_rooms(config) else ""
     title = f"{' '.join(given.what)}: {episodes} held-out episodes{each}"
@@ -42,11 +35,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _results(given: argparse.Namespace) -> tuple[Config, dict[str, dict[str, float]]]:
-    """The configuration of what is played, and the table's columns.
-
-    Raises:
-        ConfigError: it is nothing that can be played so.
-    """
+    """The configuration of what is played, and the table's columns."""
     folder = run_folder(given.what)
     if folder is not None and has_rooms(config := folder.read_config()):
         single_threaded()
@@ -55,22 +44,16 @@ def _results(given: argparse.Namespace) -> tuple[Config, dict[str, dict[str, flo
         return config, rooms.columns(folder, config, *wanted)
     if given.personalise:
         raise ConfigError("--personalise is for the run of a building: allowed is none here.")
-    config, robots, ap = _read(given.what)
+    if folder is not None:
+        robots, ap = folder.read_weights(config)
+    else:
+        config, robots, ap = without_weights(given.what)
     epsilons = _epsilons(config, given.epsilon)
     measures = play(config, robots, ap, given.episodes, epsilons, given.seed)
     return config, {
         f"eps = {epsilon:g}": found.summary()
         for epsilon, found in zip(epsilons, measures, strict=True)
     }
-
-
-def _read(what: Sequence[str]) -> tuple[Config, NDArray[np.float32], NDArray[np.float32]]:
-    """A run's configuration and online weights; or a configuration in which nothing learns."""
-    folder = run_folder(what)
-    if folder is not None:
-        config = folder.read_config()
-        return config, *folder.read_weights(config)
-    return without_weights(what)
 
 
 def _epsilons(config: Config, given: Sequence[float] | None) -> Sequence[float]:
@@ -84,27 +67,15 @@ def _epsilons(config: Config, given: Sequence[float] | None) -> Sequence[float]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet evaluate", description=__doc__)
-    parser.add_argument(
-        "what",
-        nargs="+",
-        metavar="RUN | KEY=VALUE",
-        help="a run's folder or its file of weights, or keys to set of what learns nothing",
-    )
+    say = "a run's folder or its file of weights, or keys to set of what learns nothing"
+    parser.add_argument("what", nargs="+", metavar="RUN | KEY=VALUE", help=say)
     parser.add_argument("--episodes", type=positive, help="held-out episodes to play")
-    parser.add_argument(
-        "--epsilon", type=share, action="append", help="exploration; may be given again"
-    )
-    parser.add_argument(
-        "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
-    )
-    parser.add_argument(
-        "--personalise",
-        type=positive,
-        default=0,
-        metavar="TICKS",
-        help="of a building: let each room learn on by itself, and play it once more",
-    )
-    parser.add_argument(
-        "--json", type=user_path, metavar="FILE", help="write the measures there too"
-    )
+    say = "exploration; may be given again"
+    parser.add_argument("--epsilon", type=share, action="append", help=say)
+    say = "seed of the held-out starts, if not the run's"
+    parser.add_argument("--seed", type=not_negative, help=say)
+    say = "of a building: let each room learn on by itself, and play it once more"
+    parser.add_argument("--personalise", type=positive, default=0, metavar="TICKS", help=say)
+    say = "write the measures there too"
+    parser.add_argument("--json", type=user_path, metavar="FILE", help=say)
     return parser

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from shlex import join
 
+from conf import ConfigError
 from conf.user_paths import user_path
-from experiments.flower.keys import FleetKeys, KeysError, NodeKeys, add_nodes, make_keys
+from experiments.flower.keys import FleetKeys, NodeKeys, add_nodes, make_keys
 
 PORT = 8000
 """The SuperLink's default."""
@@ -24,25 +24,21 @@ def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
     folder = user_path(given.folder)
+    if given.add is not None and (given.host or given.nodes is not None):
+        raise ConfigError("--add goes with neither --host nor --nodes.")
+    if given.add is None and not given.host:
+        raise ConfigError("--host is missing: where do the SuperNodes find the SuperLink?")
+    if given.add is None and given.nodes is None:
+        raise ConfigError("--nodes is missing: how many SuperNodes are there?")
     try:
         if given.add is not None:
-            if given.host or given.nodes is not None:
-                raise KeysError("--add goes with neither --host nor --nodes.")
             print(_next_steps(FleetKeys(folder), add_nodes(folder, given.add)))
         else:
-            if not given.host:
-                raise KeysError("--host is missing: where do the SuperNodes find the SuperLink?")
-            if given.nodes is None:
-                raise KeysError("--nodes is missing: how many SuperNodes are there?")
             keys = make_keys(folder, given.host, given.nodes)
             print(_first_steps(keys))
             print(_next_steps(keys, keys.nodes))
-    except KeysError as error:
-        print(f"risfleet: {error}", file=sys.stderr)
-        return 2
     except OSError as error:
-        print(f"risfleet: {folder} cannot be written: {error.strerror or error}.", file=sys.stderr)
-        return 2
+        raise ConfigError(f"{folder} cannot be written: {error.strerror or error}.") from error
     return 0
 
 
@@ -85,18 +81,11 @@ def _address(host: str) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="risfleet keys",
-        description="Makes the certificates and keys of a secured Flower fleet.",
-    )
+    say = "Makes the certificates and keys of a secured Flower fleet."
+    parser = argparse.ArgumentParser("risfleet keys", description=say)
     parser.add_argument("folder", metavar="DIR", help="folder to make; nothing is overwritten")
-    parser.add_argument(
-        "--host",
-        action="append",
-        default=[],
-        metavar="NAME_OR_IP",
-        help="where the SuperNodes find the SuperLink; may be given again",
-    )
+    say = "where the SuperNodes find the SuperLink; may be given again"
+    parser.add_argument("--host", action="append", default=[], metavar="NAME_OR_IP", help=say)
     parser.add_argument("--nodes", type=int, metavar="N", help="number of SuperNodes")
     parser.add_argument("--add", type=int, metavar="N", help="adds SuperNodes to a fleet in DIR")
     return parser

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -26,6 +25,7 @@ from env.radio.radio_map import RadioMap, build_radio_map
 from env.rendering.drawing import best_gain_db, draw_floor
 from env.seeding import Stream, stream
 from experiments.console.arguments import check_place
+from experiments.console.display import table
 from storage.atomic import write_atomically
 from storage.strict_json import to_json
 from training.preflight import checked
@@ -40,23 +40,18 @@ Gains = dict[str, NDArray[np.float64]]
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_intermixed_args(arguments)
-    try:
-        config = checked(given.overrides).env
-        check_place("--json", given.json)
-        check_place("--out", given.out)
-        check_place("--channels", given.channels)
-        for option, file, ending in (
-            ("--out", given.out, ".png"),
-            ("--channels", given.channels, ".npz"),
-        ):
-            if file and file.suffix != ending:
-                raise ConfigError(f"{option} {file}: allowed is a file that ends in {ending}.")
-        if given.channels and config.ris.action == "codebook":
-            say = "phases with --channels: a file holds channels of sub-surfaces, and not of beams"
-            raise ConfigError.of([("env.ris.action", config.ris.action, say)])
-    except ConfigError as error:
-        print(f"risfleet: {error}", file=sys.stderr)
-        return 2
+    config = checked(given.overrides).env
+    check_place("--json", given.json)
+    for option, file, ending in (
+        ("--out", given.out, ".png"),
+        ("--channels", given.channels, ".npz"),
+    ):
+        check_place(option, file)
+        if file and file.suffix != ending:
+            raise ConfigError(f"{option} {file}: allowed is a file that ends in {ending}.")
+    if given.channels and config.ris.action == "codebook":
+        say = "phases with --channels: a file holds channels of sub-surfaces, and not of beams"
+        raise ConfigError.of([("env.ris.action", config.ris.action, say)])
     single_threaded()
     radio_map = build_radio_map(config)
     gains, reached = gains_db(config, radio_map), Floor.from_config(config).drivable()
@@ -74,15 +69,11 @@ def main(arguments: Sequence[str]) -> int:
 def gains_db(config: EnvConfig, radio_map: RadioMap) -> Gains:
     """What each way of setting the phases gains over no RIS.
 
-    Args:
-        config: the environment.
-        radio_map: its tables.
-
     Returns:
-        Gains in dB: of the best phase that all elements share (the paper's N = 1); of a random
-        phase for each element, the mean over ``DRAWS`` draws; of the configured actions, the best;
-        and the bound |hbar| + M |h| |g| of continuous phases. The response ``rayleigh`` and a file
-        of channels have no elements to set, and so neither random phases nor a bound.
+        Gains of the best phase that all elements share (the paper's N = 1); of a random phase for
+        each element, the mean over ``DRAWS`` draws; of the configured actions, the best; and the
+        bound |hbar| + M |h| |g| of continuous phases. The response ``rayleigh`` and a file of
+        channels have no elements to set, and so neither random phases nor a bound.
     """
     ris = config.ris
     direct_db = 20.0 * np.log10(np.abs(radio_map.direct))
@@ -142,7 +133,7 @@ def means(
     """Means in dB over all cells and over those out of the AP's sight (None if there are none).
 
     Args:
-        gains: in dB.
+        gains: see ``gains_db``.
         los: whether the AP is in line of sight, shape (cells,).
         reached: whether robots reach the cell, shape (cells,); others do not count.
     """
@@ -169,13 +160,11 @@ def _table(config: EnvConfig, measures: dict[str, dict[str, float | None]]) -> T
     ris = config.ris
     response = "from a file" if config.channel.model == "file" else ris.response
     title = f"Mean gain over no RIS in dB\n{response}, M_R = {ris.side}, N_R = {2**ris.bits}"
-    table = Table(title=title, title_justify="left")
-    table.add_column("phases")
-    for column in ("all cells", "AP's shadow"):
-        table.add_column(column, justify="right")
-    for name, found in measures.items():
-        table.add_row(name, *(_cell(found[key]) for key in ("all_db", "shadow_db")))
-    return table
+    rows = (
+        (name, _cell(found["all_db"]), _cell(found["shadow_db"]))
+        for name, found in measures.items()
+    )
+    return table(title, ("phases", "all cells", "AP's shadow"), rows)
 
 
 def _cell(value: float | None) -> str:
@@ -185,14 +174,10 @@ def _cell(value: float | None) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet map", description=__doc__)
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="sets a key")
-    parser.add_argument(
-        "--out", type=user_path, metavar="FILE.png", help="draw the best gain over the floor there"
-    )
-    parser.add_argument(
-        "--channels",
-        type=user_path,
-        metavar="FILE.npz",
-        help="write the map's channels there, for env.channel.model=file",
-    )
-    parser.add_argument("--json", type=user_path, metavar="FILE", help="write the gains there too")
+    for option, name, say in (
+        ("--out", "FILE.png", "draw the best gain over the floor there"),
+        ("--channels", "FILE.npz", "write the map's channels there, for env.channel.model=file"),
+        ("--json", "FILE", "write the gains there too"),
+    ):
+        parser.add_argument(option, type=user_path, metavar=name, help=say)
     return parser

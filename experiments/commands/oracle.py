@@ -6,7 +6,6 @@ With ``--measured`` plans on the map that robots measured stand beside them.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -14,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
-from rich.text import Text
 
 from agent import single_threaded
 from conf import Config, ConfigError
@@ -30,6 +27,7 @@ from experiments.console.arguments import (
     positive,
     run_folder,
 )
+from experiments.console.display import measure, table
 from storage.atomic import write_atomically
 from storage.strict_json import to_json
 from training.evaluation import Evaluator
@@ -55,16 +53,14 @@ ORDER = "in this order: best phases for the policy's motion and power picks, bes
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
-    try:
-        check_place("--json", given.json)
-        if given.noise_db and not given.measured:
-            raise ConfigError(f"--noise-db {given.noise_db:g}: allowed is 0 without --measured.")
-        config, weights = _read(given.what)
-        gathering = sorted(set(given.measured)), given.noise_db
-        results = compare(config, weights, given.episodes, given.slack, given.seed, gathering)
-    except ConfigError as error:
-        print(f"risfleet: {error}", file=sys.stderr)
-        return 2
+    check_place("--json", given.json)
+    if given.noise_db and not given.measured:
+        raise ConfigError(f"--noise-db {given.noise_db:g}: allowed is 0 without --measured.")
+    folder = run_folder(given.what)
+    config = checked(given.what) if folder is None else folder.read_config()
+    weights = None if folder is None else folder.read_weights(config)
+    gathering = sorted(set(given.measured)), given.noise_db
+    results = compare(config, weights, given.episodes, given.slack, given.seed, gathering)
     title = f"{' '.join(given.what) or 'defaults'}: {given.episodes} held-out episodes"
     _show(Console(), title, results)
     if given.json:
@@ -149,17 +145,6 @@ def _refuse(config: Config, measured: bool) -> None:
         refuse(config.env.ris)
 
 
-def _read(
-    what: Sequence[str],
-) -> tuple[Config, tuple[NDArray[np.float32], NDArray[np.float32]] | None]:
-    """The configuration, and a run's weights where a folder is given."""
-    folder = run_folder(what)
-    if folder is None:
-        return checked(list(what)), None
-    config = folder.read_config()
-    return config, folder.read_weights(config)
-
-
 def _shown(starts: Iterable[NDArray[np.int64]]) -> Iterable[NDArray[np.int64]]:
     """Shows how many of the episodes are planned."""
     console = Console(stderr=True)
@@ -167,75 +152,49 @@ def _shown(starts: Iterable[NDArray[np.int64]]) -> Iterable[NDArray[np.int64]]:
 
 
 def _show(console: Console, title: str, results: dict[str, Any]) -> None:
-    table = Table(title=Text(title), title_justify="left")
-    table.add_column("")
-    for label in COLUMNS.values():
-        table.add_column(label, justify="right")
-    for name, values in results["measures"].items():
-        table.add_row(name, *(_measure(key, values[key]) for key in COLUMNS))
-    console.print(table)
+    rows: Iterable[Sequence[str]] = (
+        (name, *(measure(key, values[key]) for key in COLUMNS))
+        for name, values in results["measures"].items()
+    )
+    console.print(table(title, ("", *COLUMNS.values()), rows))
     console.print(UNITS, highlight=False)
     if "measured" in results:
-        _show_measured(console, results)
+        rows = (
+            (name, f"{one['share']:.1%}", f"{one['cells_seen']:.1%}", f"{one['bytes_up']:,}")
+            for name, one in results["measured"].items()
+        )
+        columns = ("", "of the trajectory's EE", "cells seen", "bytes up")
+        console.print(table("plans on the map that robots measured", columns, rows))
+        say = "Measured before these episodes; nothing learns from rewards."
+        console.print(say, highlight=False)
     if "gap" in results:
-        _show_gap(console, results)
-
-
-def _show_measured(console: Console, results: dict[str, Any]) -> None:
-    table = Table(title="plans on the map that robots measured", title_justify="left")
-    for label in ("", "of the trajectory's EE", "cells seen", "bytes up"):
-        table.add_column(label, justify="right" if label else "left")
-    for name, each in results["measured"].items():
-        shares = (f"{each[key]:.1%}" for key in ("share", "cells_seen"))
-        table.add_row(name, *shares, f"{each['bytes_up']:,}")
-    console.print(table)
-    console.print("Measured before these episodes; nothing learns from rewards.", highlight=False)
-
-
-def _show_gap(console: Console, results: dict[str, Any]) -> None:
-    parts = Table(title="what the policy leaves of the trajectory's EE", title_justify="left")
-    for name in ("", "EE (bit/s/Hz/J)", "95 % interval", "share"):
-        parts.add_column(name, justify="right" if name else "left")
-    for name, part in results["gap"].items():
-        interval = f"{part['low']:.4f} to {part['high']:.4f}"
-        parts.add_row(name, f"{part['mean']:.4f}", interval, f"{part['share']:.1%}")
-    console.print(parts)
-    console.print(f"Parts {ORDER}, best motion.", highlight=False)
-
-
-def _measure(key: str, value: float) -> str:
-    if value != value:
-        return "-"
-    return format(value, ".4f" if key == "ee" else ".3f")
+        rows = (
+            (
+                name,
+                f"{part['mean']:.4f}",
+                f"{part['low']:.4f} to {part['high']:.4f}",
+                f"{part['share']:.1%}",
+            )
+            for name, part in results["gap"].items()
+        )
+        columns = ("", "EE (bit/s/Hz/J)", "95 % interval", "share")
+        console.print(table("what the policy leaves of the trajectory's EE", columns, rows))
+        console.print(f"Parts {ORDER}, best motion.", highlight=False)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet oracle", description=__doc__)
-    parser.add_argument(
-        "what", nargs="*", metavar="RUN | KEY=VALUE", help="a run's folder, or keys to set"
-    )
+    say = "a run's folder, or keys to set"
+    parser.add_argument("what", nargs="*", metavar="RUN | KEY=VALUE", help=say)
     parser.add_argument("--episodes", type=positive, default=EPISODES, help="held-out episodes")
-    parser.add_argument(
-        "--slack", type=not_negative, default=SLACK, help="extra slots of a planned path"
-    )
-    parser.add_argument(
-        "--seed", type=not_negative, help="seed of the held-out starts, if not the run's"
-    )
-    parser.add_argument(
-        "--measured",
-        type=positive,
-        nargs="+",
-        default=[],
-        metavar="N",
-        help="plan on the map measured in N episodes, too",
-    )
-    parser.add_argument(
-        "--noise-db",
-        type=deviation_db,
-        default=0.0,
-        help="standard deviation of a measured gain in dB",
-    )
-    parser.add_argument(
-        "--json", type=user_path, metavar="FILE", help="write the measures there too"
-    )
+    say = "extra slots of a planned path"
+    parser.add_argument("--slack", type=not_negative, default=SLACK, help=say)
+    say = "seed of the held-out starts, if not the run's"
+    parser.add_argument("--seed", type=not_negative, help=say)
+    say = "plan on the map measured in N episodes, too"
+    parser.add_argument("--measured", type=positive, nargs="+", default=[], metavar="N", help=say)
+    say = "standard deviation of a measured gain in dB"
+    parser.add_argument("--noise-db", type=deviation_db, default=0.0, help=say)
+    say = "write the measures there too"
+    parser.add_argument("--json", type=user_path, metavar="FILE", help=say)
     return parser

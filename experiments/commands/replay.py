@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 
 from rich.console import Console
 
-from conf import ConfigError
 from conf.user_paths import user_path
+from experiments.console import PLAIN
 from experiments.console.arguments import not_negative, positive, share
 from experiments.viewer.replays import beside
 from experiments.viewer.saving import check_out, save
@@ -19,38 +18,24 @@ from training.run_folder import RunFolder
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     given = _parser().parse_args(arguments)
-    try:
-        check_out(given.out)
-        run = RunFolder.named(user_path(given.run))
-        panels = beside(run, given.against, given.episode, given.epsilon)
-        save(panels, f"RISFleet: {given.run}", given.out, given.frames)
-    except ConfigError as error:
-        print(f"risfleet: {error}", file=sys.stderr)
-        return 2
-    size = given.out.stat().st_size
-    console = Console()
-    console.print(f"{given.out}: {size / 1000:.0f} kB", highlight=False, soft_wrap=True)
+    check_out(given.out)
+    run = RunFolder.named(user_path(given.run))
+    panels = beside(run, given.against, given.episode, given.epsilon)
+    save(panels, f"RISFleet: {given.run}", given.out, given.frames)
+    Console().print(f"{given.out}: {given.out.stat().st_size / 1000:.0f} kB", **PLAIN)
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet replay", description=__doc__)
     parser.add_argument("run", metavar="RUN", help="the folder of a run, or of a building's room")
-    parser.add_argument(
-        "--out", type=user_path, required=True, metavar="FILE", help="a page, or a film: .gif, .mp4"
-    )
-    parser.add_argument(
-        "--against",
-        action="append",
-        default=[],
-        metavar="WHAT",
-        help="beside it: another run's folder, oracle, or shortest; may be given again",
-    )
-    parser.add_argument(
-        "--episode", type=not_negative, default=0, metavar="N", help="held-out start, from 0"
-    )
+    say = "a page, or a film: .gif, .mp4"
+    parser.add_argument("--out", type=user_path, required=True, metavar="FILE", help=say)
+    say = "beside it: another run's folder, oracle, or shortest; may be given again"
+    parser.add_argument("--against", action="append", default=[], metavar="WHAT", help=say)
+    say = "held-out start, from 0"
+    parser.add_argument("--episode", type=not_negative, default=0, metavar="N", help=say)
     parser.add_argument("--epsilon", type=share, default=0.0, help="exploration; 0 is greedy")
-    parser.add_argument(
-        "--frames", type=positive, default=2, metavar="N", help="of a film, for each slot"
-    )
+    say = "of a film, for each slot"
+    parser.add_argument("--frames", type=positive, default=2, metavar="N", help=say)
     return parser

@@ -15,12 +15,10 @@ from rich.console import Console
 from conf import ConfigError
 from conf.overrides import is_hydras, lines, parse
 from conf.user_paths import user_path
-from env.plugins import PluginError
 from experiments.batch.launcher import DEFAULT
 from experiments.batch.train import BatchOutcome
+from experiments.console import PLAIN
 from experiments.console.arguments import positive
-from experiments.console.mishaps import in_words
-from experiments.console.plain import PLAIN
 from experiments.reproduce.results.runs import Runs
 from experiments.reproduce.runner import Plan, train
 from experiments.reproduce.targets import manifest
@@ -46,29 +44,19 @@ def main(arguments: Sequence[str]) -> int:
     began = time.perf_counter()
     console = Console()
     out = given.out or Path("reproduce-quick" if given.quick else "reproduce")
-    try:
-        ours, hydra = _overrides(given.overrides)
-        if given.jobs and any(
-            item.startswith("hydra/launcher=") and item != DEFAULT for item in hydra
-        ):
-            raise ConfigError(f"--jobs {given.jobs}: allowed with Hydra's launcher joblib alone.")
-        targets = _targets(given.target)
-        cells = {t.name: with_overrides(t.cells(given.quick), ours) for t in targets}
-        plan = Plan([cell for each in cells.values() for cell in each], out)
-        outcome = train(plan, given.jobs, hydra, console)
-        status = _said(outcome, console)
-        if status:
-            return status
-        call = {"quick": given.quick, "overrides": ours}
-        for target in targets:
-            runs = plan.runs(cells[target.name])
-            _report(target, cells[target.name], runs, out, call, began, console)
-    except (ConfigError, PluginError) as error:
-        print(f"risfleet: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"risfleet: {in_words(error)}", file=sys.stderr)
-        return 1
+    ours, hydra = _overrides(given.overrides)
+    launchers = {item for item in hydra if item.startswith("hydra/launcher=")}
+    if given.jobs and launchers - {DEFAULT}:
+        raise ConfigError(f"--jobs {given.jobs}: allowed with Hydra's launcher joblib alone.")
+    targets = _targets(given.target)
+    cells = {t.name: with_overrides(t.cells(given.quick), ours) for t in targets}
+    plan = Plan([cell for each in cells.values() for cell in each], out)
+    if status := _said(train(plan, given.jobs, hydra, console), console):
+        return status
+    call = {"quick": given.quick, "overrides": ours}
+    for target in targets:
+        runs = plan.runs(cells[target.name])
+        _report(target, cells[target.name], runs, out, call, began, console)
     return 0
 
 
@@ -88,9 +76,7 @@ def _report(
     files.append(manifest.write(out, target.name, cells, runs, files, call | spent))
     for path in files:
         if path.suffix == ".md":
-            console.print(
-                path.read_text(encoding="utf-8-sig"), markup=False, highlight=False, soft_wrap=True
-            )
+            console.print(path.read_text(encoding="utf-8-sig"), **PLAIN)
     for path in files:
         console.print(f"  {path}", **PLAIN)
 
@@ -118,17 +104,12 @@ def _targets(name: str) -> list[Target]:
 
 
 def _overrides(given: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The runs' overrides, and Hydra's own.
-
-    Raises:
-        ConfigError: one is wrong in itself, or a key that the target sets.
-    """
+    """The runs' overrides, none of them of a key that the target sets, and Hydra's own."""
     found = parse(given, launcher=True)
     ours = [item for item in found if not is_hydras(item)]
     for item in ours:
-        key = item.key_or_group
-        if key.split(".")[0] in OWN:
-            say = f"{key} is the target's own: allowed are keys of a run"
+        if item.key_or_group.split(".")[0] in OWN:
+            say = f"{item.key_or_group} is the target's own: allowed are keys of a run"
             raise ConfigError(f"{item.input_line}: {say}.")
     return lines(ours), lines([item for item in found if is_hydras(item)])
 
@@ -142,11 +123,9 @@ def _parser() -> Any:
     )
     parser.add_argument("target", metavar="TARGET", help=f"{', '.join(TARGETS)}, or {ALL}")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="a key of every run")
-    parser.add_argument(
-        "--quick", action="store_true", help="minutes on two cores: fewer seeds, shorter runs"
-    )
-    parser.add_argument(
-        "--out", type=user_path, metavar="DIR", help="default: reproduce, or reproduce-quick"
-    )
+    say = "minutes on two cores: fewer seeds, shorter runs"
+    parser.add_argument("--quick", action="store_true", help=say)
+    say = "default: reproduce, or reproduce-quick"
+    parser.add_argument("--out", type=user_path, metavar="DIR", help=say)
     parser.add_argument("--jobs", type=positive, metavar="N", help="processes; default: cores")
     return parser

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -10,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from conf import ConfigError
 from conf.user_paths import user_path
 from experiments.console.display import SILENT_S, describe, silent_s
 from training.run_folder import RunFolder
@@ -41,18 +41,14 @@ def _federation(status: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; returns the exit status."""
     if len(arguments) != 1:
-        print("risfleet: status needs one run folder: risfleet status RUN", file=sys.stderr)
-        return 2
+        raise ConfigError("status needs one run folder: risfleet status RUN")
     folder = RunFolder(user_path(arguments[0]))
     status = folder.read_progress()
     if status is None:
-        print(f"risfleet: {folder} holds no run that has begun", file=sys.stderr)
-        return 2
+        raise ConfigError(f"{folder} holds no run that has begun")
     table = Table.grid(padding=(0, 2))
-    for name, text in describe(status):
+    for name, text in (*describe(status), *_federation(status)):
         table.add_row(name or "state", text)
-    for name, text in _federation(status):
-        table.add_row(name, text)
     if status["message"]:
         table.add_row("message", Text(str(status["message"])))
     silence = silent_s(status)

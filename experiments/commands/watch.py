@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import webbrowser
 from collections.abc import Sequence
 
@@ -12,6 +11,7 @@ from rich.console import Console
 from agent import single_threaded
 from conf import ConfigError
 from conf.user_paths import user_path
+from experiments.console.arguments import port
 from experiments.viewer.follower import Follower
 from experiments.viewer.server import HOST, WatchServer
 from training.run_folder import RunFolder
@@ -20,12 +20,13 @@ from training.run_folder import RunFolder
 def main(arguments: Sequence[str]) -> int:
     """Runs the command until Ctrl-C; returns the exit status."""
     given = _parser().parse_args(arguments)
+    follower = Follower(RunFolder(user_path(given.run)))
     try:
-        follower = Follower(RunFolder(user_path(given.run)))
-        server = _listening(follower, given.port)
-    except ConfigError as error:
-        print(f"risfleet: {error}", file=sys.stderr)
-        return 2
+        server = WatchServer(follower, given.port)
+    except OSError as error:
+        allowed = f"one that is free on {HOST}, or 0 for any"
+        say = f"--port {given.port}: allowed is {allowed} ({error.strerror})."
+        raise ConfigError(say) from error
     single_threaded()
     with server:
         console = Console()
@@ -39,26 +40,10 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _listening(follower: Follower, port: int) -> WatchServer:
-    try:
-        return WatchServer(follower, port)
-    except OSError as error:
-        allowed = f"one that is free on {HOST}, or 0 for any"
-        raise ConfigError(f"--port {port}: allowed is {allowed} ({error.strerror}).") from error
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("risfleet watch", description=__doc__)
     parser.add_argument("run", metavar="RUN", help="the folder of a run that has begun")
-    parser.add_argument(
-        "--port", type=_port, default=0, help=f"to listen on at {HOST}; any free one by default"
-    )
+    say = f"to listen on at {HOST}; any free one by default"
+    parser.add_argument("--port", type=port, default=0, help=say)
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
     return parser
-
-
-def _port(text: str) -> int:
-    """An option's port."""
-    if not text.isdecimal() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"{text}: allowed is a whole number from 0 to 65535")
-    return int(text)

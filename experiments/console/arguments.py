@@ -77,6 +77,11 @@ def not_negative(text: str) -> int:
     return int(_number(text, int, 0, math.inf, "a whole number of at least 0"))
 
 
+def port(text: str) -> int:
+    """An option's port."""
+    return int(_number(text, int, 0, 65_535, "a whole number from 0 to 65535"))
+
+
 def deviation_db(text: str) -> float:
     """An option's deviation in dB, from 0 to 100."""
     return _number(text, float, 0, 100, "a number from 0 to 100")
@@ -87,14 +92,12 @@ def share(text: str) -> float:
     return _number(text, float, 0, 1, "a number from 0 to 1")
 
 
-def _number(
-    text: str, kind: Callable[[str], float], low: float, high: float, allowed: str
-) -> float:
+def _number(text: str, kind: Callable[[str], float], low: float, high: float, say: str) -> float:
     """Reads a number for argparse, which would name the function that fails with ValueError."""
     try:
         value = kind(text)
     except ValueError:
         value = math.nan
     if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text}: allowed is {allowed}")
+        raise argparse.ArgumentTypeError(f"{text}: allowed is {say}")
     return value

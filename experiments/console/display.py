@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Self
 
 from rich.console import Console
@@ -15,8 +15,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from experiments.console import PLAIN
 from experiments.console.mishaps import in_words
-from experiments.console.plain import PLAIN
 from training.recording.history import MEASURES
 from training.run_folder import RunFolder
 
@@ -68,17 +68,17 @@ def seconds_left(status: dict[str, Any]) -> float | None:
 def describe(status: dict[str, Any]) -> list[tuple[str, str]]:
     """The labelled figures of a run's progress."""
     left = seconds_left(status)
-    frozen = status["evaluated"]
+    minutes, seconds = divmod(round(left or 0), 60)
     return [
         ("", str(status["state"])),
         ("episode", f"{status['episode']}/{status['episodes']}"),
         ("tick", str(status["tick"])),
         ("success", _number(status["success"], ".2f")),
-        ("frozen", _number(frozen, ".2f")),
+        ("frozen", _number(status["evaluated"], ".2f")),
         ("reward", _number(status["reward"], ".0f")),
         ("EE", _number(status["ee"], ".4f")),
         ("steps/s", _number(status["steps_per_s"] or None, ".0f")),
-        ("left", "-" if left is None else _duration(left)),
+        ("left", "-" if left is None else f"{minutes}:{seconds:02d}"),
     ]
 
 
@@ -86,18 +86,10 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d}"
-
-
 class Showing(ABC):
     """Shows something from a thread of its own, until the block that it is entered for ends.
 
     What goes wrong with it is said in a line, and the block goes on without.
-
-    Args:
-        name: the thread's.
     """
 
     def __init__(self, name: str) -> None:
@@ -132,16 +124,19 @@ class Showing(ABC):
     def _run(self) -> None:
         """Shows, until ``_ended`` is set."""
 
+    def _statuses(self, folder: RunFolder) -> Iterator[tuple[dict[str, Any], bool]]:
+        """What a run says of itself, again and again, and whether it is for the last time."""
+        ended = False
+        while not ended:
+            ended = self._ended.wait(POLL_S)
+            if (status := folder.read_progress()) is not None:
+                yield status, ended
+
 
 class Display(Showing):
-    """Shows the progress of a run while it lasts, from what it writes to its folder.
+    """Shows the progress of a run of any runtime, from what it writes to its folder.
 
-    Live on a terminal; elsewhere a plain line every ten seconds. It reads files only, so it shows
-    every runtime alike.
-
-    Args:
-        folder: the run's.
-        console: where to show.
+    Live on a terminal; elsewhere a plain line every ten seconds.
     """
 
     def __init__(self, folder: RunFolder, console: Console) -> None:
@@ -153,27 +148,18 @@ class Display(Showing):
             self._print_lines()
             return
         with Live(console=self._console, refresh_per_second=4, transient=True) as live:
-            while not self._ended.wait(POLL_S):
-                if (status := self._folder.read_progress()) is not None:
-                    live.update(panel(status))
+            for status, _ in self._statuses(self._folder):
+                live.update(panel(status))
 
     def _print_lines(self) -> None:
         shown, printed = "", 0.0
-        while True:
-            ended = self._ended.wait(POLL_S)
-            status = self._folder.read_progress()
+        for status, ended in self._statuses(self._folder):
             due = not ended and time.monotonic() - printed >= LINE_PERIOD_S
-            if status is not None and (due or status["state"] != shown):
+            if due or status["state"] != shown:
                 shown, printed = status["state"], time.monotonic()
-                self._print_line(status)
-            if ended:
-                return
-
-    def _print_line(self, status: dict[str, Any]) -> None:
-        line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
-        if status["state"] == "waiting":
-            line = f"waiting: {status['message']}"
-        self._console.print(line, **PLAIN)
+                line = "  ".join(f"{name} {text}".strip() for name, text in describe(status))
+                waiting = f"waiting: {status['message']}"
+                self._console.print(waiting if shown == "waiting" else line, **PLAIN)
 
 
 def panel(status: dict[str, Any]) -> Table:
@@ -191,22 +177,26 @@ def panel(status: dict[str, Any]) -> Table:
 
 
 def evaluation_table(title: str, columns: dict[str, dict[str, float]]) -> Table:
-    """A table of evaluations, a column each.
-
-    Args:
-        title: above the table.
-        columns: from a column's name to its measures.
-    """
-    table = Table(title=Text(title), title_justify="left")
-    table.add_column("")
-    for name in columns:
-        table.add_column(name, justify="right")
-    for key, label in LABELS.items():
-        table.add_row(label, *(_measure(key, values.get(key)) for values in columns.values()))
-    return table
+    """A table of evaluations, a column with its measures each."""
+    rows = (
+        (label, *(measure(key, values.get(key)) for values in columns.values()))
+        for key, label in LABELS.items()
+    )
+    return table(title, ("", *columns), rows)
 
 
-def _measure(key: str, value: float | None) -> str:
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """A table whose first column holds names, and all others numbers."""
+    made = Table(title=Text(title), title_justify="left")
+    for place, name in enumerate(columns):
+        made.add_column(name, justify="right" if place else "left")
+    for row in rows:
+        made.add_row(*row)
+    return made
+
+
+def measure(key: str, value: float | None) -> str:
+    """A measure of an evaluation as it is shown, by its name in ``MEASURES``."""
     if value is None or value != value:
         return "-"
     return format(value, ".4f" if key == "ee" else ".3f")

@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-from rich.console import Console
-
 from conf import Config
 from env.mdp import lateness
 from env.radio import mounting
 from env.scenario import Scenario
-from experiments.console.plain import PLAIN
-
-
-def show(config: Config, console: Console) -> None:
-    """Prints each notice on a line of its own."""
-    for line in notices(config):
-        console.print(f"note: {line}", **PLAIN)
 
 
 def notices(config: Config) -> list[str]:
@@ -30,10 +21,9 @@ def _late(scenario: Scenario) -> list[str]:
     if not share:
         return []
     shown = "under 1" if share < 0.01 else f"{100 * share:.0f}"
-    say = (
-        "of the starts are more slots away from their destination, and no robot arrives from there"
-    )
-    return [f"{lateness.KEY}={config.motion.max_slots}: {shown} % {say}."]
+    say = "of the starts are more slots away from their destination"
+    slots = f"{lateness.KEY}={config.motion.max_slots}"
+    return [f"{slots}: {shown} % {say}, and no robot arrives from there."]
 
 
 def _unseen(scenario: Scenario) -> list[str]:

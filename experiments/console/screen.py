@@ -11,7 +11,7 @@ from typing import Any, Self
 from rich.console import Console, RenderableType
 from rich.text import Text
 
-from experiments.console.display import POLL_S, Display, Showing, panel
+from experiments.console.display import Display, Showing, panel
 from training.run_folder import RunFolder
 
 Reporter = Callable[[dict[str, Any]], object]
@@ -35,24 +35,13 @@ class Screen:
 
 
 def screen_of(progress: bool | Reporter) -> Screen:
-    """The screen that a caller of Python asks for.
-
-    Args:
-        progress: True for a terminal's or a notebook's, False for none, or a function that is
-            called with the progress.
-    """
+    """The screen of a terminal or notebook if True, of none if False, or of a function."""
     if callable(progress):
         return Screen(Console(quiet=True), partial(Reports, progress))
     if not progress:
-        return Screen(Console(quiet=True), _nothing)
+        return Screen(Console(quiet=True), lambda folder, console: nullcontext())
     console = Console()
-    if console.is_jupyter:
-        return Screen(console, CellDisplay, in_notebook=True)
-    return Screen(console)
-
-
-def _nothing(folder: RunFolder, console: Console) -> AbstractContextManager[None]:
-    return nullcontext()
+    return Screen(console, CellDisplay, True) if console.is_jupyter else Screen(console)
 
 
 class Cell:
@@ -72,12 +61,7 @@ class Cell:
 
 
 class CellDisplay(Showing):
-    """Shows a run's progress in a notebook's cell, where its last state stays.
-
-    Args:
-        folder: the run's.
-        console: not used: what changes has no place there.
-    """
+    """Shows a run's progress in a notebook's cell, where its last state stays; needs no console."""
 
     def __init__(self, folder: RunFolder, console: Console) -> None:
         super().__init__("cell")
@@ -89,31 +73,20 @@ class CellDisplay(Showing):
         return super().__enter__()
 
     def _run(self) -> None:
-        ended = False
-        while not ended:
-            ended = self._ended.wait(POLL_S)
-            if (status := self._folder.read_progress()) is not None:
-                self._cell.show(panel(status))
+        for status, _ in self._statuses(self._folder):
+            self._cell.show(panel(status))
 
 
 class Reports(Showing):
-    """Tells a function how a run goes on, whenever that changes, and at its end.
-
-    Args:
-        tell: the function.
-        folder: the run's.
-        console: not used.
-    """
+    """Tells a function how a run goes on, whenever that changes, and at its end."""
 
     def __init__(self, tell: Reporter, folder: RunFolder, console: Console) -> None:
         super().__init__("reports")
         self._tell, self._folder = tell, folder
 
     def _run(self) -> None:
-        ended, told = False, None
-        while not ended:
-            ended = self._ended.wait(POLL_S)
-            status = self._folder.read_progress()
-            if status is not None and status != told:
+        told = None
+        for status, _ in self._statuses(self._folder):
+            if status != told:
                 told = status
                 self._tell(dict(status))

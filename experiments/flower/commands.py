@@ -30,20 +30,17 @@ def submit_run(
     simulated: int | None = None,
     connection: str = CONNECTION,
 ) -> int:
-    """Hand a run to a SuperLink.
+    """Hands a run to a SuperLink; returns its number.
 
     Args:
         session: with the connection in its folder, unless the user's own is named.
         overrides: the run's configuration value.
         components: the app's parts.
         simulated: simulated nodes, all of which get a process of their own; None in a deployment.
-        connection: the name of the connection in Flower's configuration.
-
-    Returns:
-        The run's number.
+        connection: a name in Flower's configuration.
 
     Raises:
-        FlowerError: Flower refuses, or does not answer.
+        FlowerError: Flower refuses, or does not answer, as in all that follows.
     """
     app = write_manifest(session.folder / "app", components)
     config = write_run_config(session.folder / "run.toml", overrides)
@@ -56,47 +53,23 @@ def submit_run(
 
 
 def register_node(session: Session, public_key: Path) -> None:
-    """Let a SuperNode with this key join the session's SuperLink.
-
-    Args:
-        session: with the connection in its folder.
-        public_key: the file of the key.
-
-    Raises:
-        FlowerError: Flower refuses, or does not answer.
-    """
+    """Lets a SuperNode with the key in this file join the session's SuperLink."""
     _flwr(session, "supernode", "register", str(public_key), CONNECTION)
 
 
 def stop_run(session: Session, run_id: int, connection: str) -> None:
-    """End a run that is going on.
-
-    Raises:
-        FlowerError: Flower refuses, or does not answer.
-    """
+    """Ends a run that is going on."""
     _flwr(session, "stop", str(run_id), connection)
 
 
 def run_log(session: Session, run_id: int, connection: str) -> str:
-    """What the ServerApp has printed so far.
-
-    Raises:
-        FlowerError: Flower does not answer.
-    """
+    """What the ServerApp has printed so far."""
     command = [flower_command("flwr"), "log", str(run_id), connection, "--show"]
     return session.run(command, _TIMEOUT_S)[1]
 
 
 def run_status(session: Session, run_id: int, connection: str = CONNECTION) -> Status:
     """State of a run, at more than a second of CPU.
-
-    Args:
-        session: with the connection in its folder, unless the user's own is named.
-        run_id: the run's number.
-        connection: the name of the connection in Flower's configuration.
-
-    Returns:
-        The state.
 
     Raises:
         UnansweredError: Flower refuses, or does not answer.

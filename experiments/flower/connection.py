@@ -24,29 +24,26 @@ class Connection:
     poll_s = 5.0
     """Seconds between questions: each is a command that takes more than a second of CPU."""
 
-    def __init__(self, name: str) -> None:
-        """Prepare.
+    _session: Session
 
-        Args:
-            name: of the connection, in the file ``config.toml`` of Flower's home.
+    def __init__(self, name: str) -> None:
+        """Takes a connection's name, of the file ``config.toml`` in Flower's home.
 
         Raises:
             FlowerError: there is no such connection, or it leaves this machine unencrypted.
         """
         _check(name)
         self._name = name
-        self._session: Session | None = None
         self._running: int | None = None
 
     def __enter__(self) -> Self:
-        """Make a place for the files of a run."""
+        """Makes a place for the files of a run."""
         self._session = Session()
         self._session.environment = user_environment(self._session.marker)
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop the run if it has not ended; that it cannot be stopped hides no other error."""
-        assert self._session is not None
+        """Stops the run if it has not ended; that it cannot be stopped hides no other error."""
         try:
             if self._running is not None:
                 commands.stop_run(self._session, self._running, self._name)
@@ -59,12 +56,11 @@ class Connection:
             self._session.stop()
 
     def submit(self, overrides: str) -> int:
-        """Hand in a run of the app; returns its number.
+        """Hands in a run of the app; returns its number.
 
         Raises:
             FlowerError: Flower refuses.
         """
-        assert self._session is not None
         self._running = commands.submit_run(
             self._session, overrides, Components(), connection=self._name
         )
@@ -76,7 +72,6 @@ class Connection:
         Raises:
             UnansweredError: the SuperLink does not answer.
         """
-        assert self._session is not None
         status = commands.run_status(self._session, run_id, self._name)
         if status.finished:
             self._running = None
@@ -84,7 +79,6 @@ class Connection:
 
     def log_tail(self, run_id: int, lines: int = 30) -> str:
         """Last lines of what the ServerApp has printed, none where they cannot be had."""
-        assert self._session is not None
         with suppress(FlowerError):
             return tail(commands.run_log(self._session, run_id, self._name), lines)
         return ""

@@ -13,7 +13,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
 
 from experiments.flower.environment import HOST
 
@@ -59,12 +58,7 @@ def parse_status(status: str, details: str) -> Status:
 
 
 def is_healthy(port: int, authority: Path | None = None) -> bool:
-    """Whether a SuperLink serves that loopback port.
-
-    Args:
-        port: the SuperLink's.
-        authority: the certificate by which it is known, where it speaks TLS.
-    """
+    """Whether a SuperLink serves that loopback port; where it speaks TLS, by which certificate."""
     try:
         with closing(_connection(port, authority, timeout_s=2)) as connection:
             connection.request("GET", "/health")
@@ -74,15 +68,7 @@ def is_healthy(port: int, authority: Path | None = None) -> bool:
 
 
 def run_status(port: int, run_id: int, authority: Path | None = None) -> Status:
-    """State of a run.
-
-    Args:
-        port: the SuperLink's.
-        run_id: the run's.
-        authority: as in `is_healthy`.
-
-    Returns:
-        The state.
+    """State of a run; arguments as in `is_healthy`.
 
     Raises:
         ControlError: no answer, or not one we understand.
@@ -90,7 +76,8 @@ def run_status(port: int, run_id: int, authority: Path | None = None) -> Status:
     try:
         from flwr.proto.control_pb2 import ListRunsRequest, ListRunsResponse
 
-        body = _post(port, authority, "list-runs", ListRunsRequest(run_id=run_id), _PROTOBUF)
+        request = ListRunsRequest(run_id=run_id).SerializeToString()
+        body = _post(port, authority, "list-runs", request, _PROTOBUF)
         run = ListRunsResponse.FromString(body).run_dict[run_id].status
     except Exception as error:  # an internal interface may fail in any way
         raise ControlError(str(error)) from error
@@ -100,30 +87,19 @@ def run_status(port: int, run_id: int, authority: Path | None = None) -> Status:
 def run_log(port: int, run_id: int, authority: Path | None = None) -> str:
     """What the ServerApp and, in a simulation, the clients have printed so far.
 
-    Args:
-        port: the SuperLink's.
-        run_id: the run's.
-        authority: as in `is_healthy`.
-
-    Returns:
-        The text, empty where there is none yet.
-
     Raises:
         ControlError: no answer, or not one we understand.
     """
     try:
         from flwr.proto.control_pb2 import StreamLogsRequest, StreamLogsResponse
 
-        body = _post(port, authority, "stream-logs", StreamLogsRequest(run_id=run_id), _STREAM)
+        request = StreamLogsRequest(run_id=run_id).SerializeToString()
+        body = _post(port, authority, "stream-logs", request, _STREAM)
         return StreamLogsResponse.FromString(body).log_output if body else ""
     except TimeoutError:
         return ""
     except Exception as error:  # as above
         raise ControlError(str(error)) from error
-
-
-class _Request(Protocol):
-    def SerializeToString(self) -> bytes: ...  # noqa: N802 (protobuf's name)
 
 
 def _connection(port: int, authority: Path | None, timeout_s: float) -> http.client.HTTPConnection:
@@ -134,11 +110,11 @@ def _connection(port: int, authority: Path | None, timeout_s: float) -> http.cli
     return http.client.HTTPSConnection(HOST, port, timeout=timeout_s, context=context)
 
 
-def _post(port: int, authority: Path | None, call: str, request: _Request, accept: str) -> bytes:
+def _post(port: int, authority: Path | None, call: str, request: bytes, accept: str) -> bytes:
     """Send a request; the answer's body, of a stream its first frame."""
     headers = {"content-type": _PROTOBUF, "accept": accept, "accept-encoding": "identity"}
     with closing(_connection(port, authority, timeout_s=5)) as connection:
-        connection.request("POST", f"/v1/control/{call}", request.SerializeToString(), headers)
+        connection.request("POST", f"/v1/control/{call}", request, headers)
         response = connection.getresponse()
         if response.status != http.client.OK:
             raise ControlError(f"{call}: HTTP {response.status}")

@@ -34,7 +34,7 @@ class Engine:
     """
 
     def __init__(self, superlink: Process) -> None:
-        """Watch below the process of a SuperLink."""
+        """Watches below the process of a SuperLink."""
         self._superlink = superlink
         self._can_look = bool(command(superlink)) and identify(superlink.pid) is not None
         self.running = True
@@ -43,7 +43,7 @@ class Engine:
         self._stranded_at: float | None = None
 
     def look(self) -> None:
-        """Look at the processes again; a few milliseconds."""
+        """Looks at the processes again; a few milliseconds."""
         if not self._can_look:
             return
         commands = [command(row) for row in members(None, [self._superlink])]
@@ -64,13 +64,9 @@ class SimulationSuperLink(SuperLink):
     def __init__(
         self, *, clients: int = 1, log_path: Path, start_timeout_s: float = 120.0, port: int = 0
     ) -> None:
-        """Prepare; nothing is started yet.
+        """Prepares so many Flower clients, all of which run at the same time.
 
-        Args:
-            clients: Flower clients, all of which run at the same time.
-            log_path: as in `SuperLink`.
-            start_timeout_s: as in `SuperLink`, and again for a run's first client to appear.
-            port: as in `SuperLink`.
+        All else is as in `SuperLink`; a run's first client, too, has `start_timeout_s` to appear.
 
         Raises:
             FlowerError: more clients than can run at once.
@@ -94,18 +90,14 @@ class SimulationSuperLink(SuperLink):
     def _death(self) -> str:
         assert self._engine is not None
         self._engine.look()
-        return (
-            ""
-            if self._engine.running
-            else "the simulation's process, or Ray's, ended without a word"
-        )
+        if self._engine.running:
+            return ""
+        return "the simulation's process, or Ray's, ended without a word"
 
     def _require_progress(self, run_id: int, status: Status) -> None:
         super()._require_progress(run_id, status)
         late = status.state is RunState.RUNNING and self._waited_s(run_id) > self._start_timeout_s
         if late and self._engine is not None and not self._engine.has_clients:
-            message = (
-                f"No client process has started within {self._start_timeout_s:.0f} s:"
-                " does Ray work here?"
-            )
+            seconds = f"{self._start_timeout_s:.0f} s"
+            message = f"No client process has started within {seconds}: does Ray work here?"
             raise FlowerError(message, self.log_tail(run_id))

@@ -10,8 +10,7 @@ import sysconfig
 from pathlib import Path
 
 from experiments.flower import variables
-from repeatable.private import SETTINGS, with_scripts
-from repeatable.processes import MARKER
+from repeatable.processes import MARKER, SETTINGS, with_scripts
 
 HOST = "127.0.0.1"
 CONNECTION = "risfleet"
@@ -27,12 +26,7 @@ class FlowerError(RuntimeError):
     """Flower could not be started or did not do its work."""
 
     def __init__(self, message: str, log: str = "") -> None:
-        """Make the error's text.
-
-        Args:
-            message: one sentence for the user.
-            log: the relevant end of a log, shown below the sentence.
-        """
+        """Takes a sentence for the user, and the end of a log to show below it."""
         super().__init__(f"{message}\n{log.rstrip()}" if log.strip() else message)
 
 
@@ -47,12 +41,11 @@ class ProcessLostError(FlowerError):
 def child_environment(home: Path, marker: str) -> dict[str, str]:
     """Environment of a private session's processes: what is chosen of ours, and what they need.
 
+    None of it leads through a proxy: the session does not leave this machine.
+
     Args:
         home: the session's private folder, to which Flower and Ray are turned.
         marker: the session's name, by which its processes are found again.
-
-    Returns:
-        The variables. None of them leads through a proxy: the session does not leave this machine.
     """
     environment = with_scripts(variables.chosen()) | _SETTINGS
     if sys.platform == "darwin":  # where no variable says otherwise, the desktop's proxies count
@@ -63,13 +56,9 @@ def child_environment(home: Path, marker: str) -> dict[str, str]:
 def user_environment(marker: str) -> dict[str, str]:
     """Environment of Flower's commands that talk to a federation of the user's.
 
-    Args:
-        marker: the session's name.
-
-    Returns:
-        All of the user's variables, as if he typed the commands himself: his proxy, certificates
-        and Flower's home count. Only what would colour their answers is left out, and what is on
-        this machine is reached without a proxy.
+    All of the user's variables are there, as if he typed the commands himself: his proxy,
+    certificates and Flower's home count. Only what would colour their answers is left out, and
+    what is on this machine is reached without a proxy.
     """
     environment = with_scripts({**os.environ}) | _SETTINGS | {MARKER: marker}
     for name in variables.COLOURS:
@@ -80,13 +69,7 @@ def user_environment(marker: str) -> dict[str, str]:
 
 
 def flower_command(name: str) -> str:
-    """Path of a command that Flower's distribution installs.
-
-    Args:
-        name: `flwr` or `flower-superlink`, for example.
-
-    Returns:
-        The path.
+    """Path of a command that Flower's distribution installs, such as `flower-superlink`.
 
     Raises:
         FlowerError: it is not installed.

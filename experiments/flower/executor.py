@@ -14,10 +14,7 @@ NAME = "flower-superexec"
 
 
 class Executor:
-    """The SuperExec below a process.
-
-    Args:
-        owner: the SuperLink or SuperNode.
+    """The SuperExec below its owner, a SuperLink or SuperNode.
 
     Attributes:
         seen: whether it has ever been there (on Linux; elsewhere it cannot be told from others).

@@ -32,23 +32,19 @@ class _Node:
         number: from 0.
         process: of the SuperNode itself.
         root: the same, as `processes` knows it.
+        executor: the process that starts its clients.
         began: when it was started, monotonic, in s.
         restarts: in a row, none of which lived long.
-        executor: the process that starts its clients.
         family: itself and all below it, as last seen.
     """
 
     number: int
     process: subprocess.Popen[bytes]
     root: Process
-    began: float
+    executor: Executor
+    began: float = field(default_factory=time.monotonic)
     restarts: int = 0
     family: set[Process] = field(default_factory=set)
-    executor: Executor = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Looks for it below the SuperNode."""
-        self.executor = Executor(self.root)
 
 
 class Federation(SuperLink):
@@ -64,15 +60,10 @@ class Federation(SuperLink):
         start_timeout_s: float = 120.0,
         port: int = 0,
     ) -> None:
-        """Prepare; nothing is started yet.
+        """Prepares so many SuperNodes; all else is as in `SuperLink`.
 
-        Args:
-            nodes: SuperNodes.
-            secure: whether the SuperLink has a certificate, and SuperNodes keys that it knows.
-            revive: whether a SuperNode that has died is started anew.
-            log_path: file that gets everybody's output.
-            start_timeout_s: as in `SuperLink`.
-            port: as in `SuperLink`.
+        Where it is `secure`, the SuperLink has a certificate, and SuperNodes keys that it knows;
+        `revive` says whether a SuperNode that has died is started anew.
         """
         super().__init__(log_path=log_path, start_timeout_s=start_timeout_s, port=port)
         self._count, self._secure, self._revive = nodes, secure, revive
@@ -143,7 +134,8 @@ class Federation(SuperLink):
              *self._identity(session)],
             self._log,
         )  # fmt: skip
-        return _Node(number, process, session.root(process), time.monotonic())
+        root = session.root(process)
+        return _Node(number, process, root, Executor(root))
 
     def _identity(self, session: Session) -> list[str]:
         """Options by which a SuperNode is known.

@@ -18,12 +18,7 @@ _LAST_S = 10.0
 
 
 class Guard:
-    """A watchdog's process, started again where it died. Nothing that befalls it is an error.
-
-    Args:
-        marker: the session's name.
-        folder: the session's own.
-    """
+    """A session's watchdog, started again where it died. Nothing that befalls it is an error."""
 
     def __init__(self, marker: str, folder: Path) -> None:
         self._arguments = [marker, str(folder)]

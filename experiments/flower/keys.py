@@ -18,6 +18,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from conf import ConfigError
 from lockstep.messages import MAX_ROBOTS
 from server_app.certificates import alternative_name, certificate_pem, certify, key_pem
 
@@ -27,7 +28,7 @@ LOOPBACK = ("localhost", "127.0.0.1")
 _NODE = "node-"
 
 
-class KeysError(ValueError):
+class KeysError(ConfigError):
     """A user's mistake, in one sentence."""
 
 
@@ -89,16 +90,13 @@ class FleetKeys:
 
 
 def make_keys(folder: Path, hosts: Sequence[str], nodes: int) -> FleetKeys:
-    """Make all keys of a fleet; the folder appears whole or not at all.
+    """Makes all keys of a fleet; the folder appears whole or not at all.
 
     Args:
         folder: must not exist, or be empty.
         hosts: names and IP addresses at which the SuperNodes find the SuperLink; loopback is
             always added.
         nodes: number of SuperNodes.
-
-    Returns:
-        Where everything is.
 
     Raises:
         KeysError: a host is none, the number is out of range, or the folder holds something.
@@ -128,7 +126,8 @@ def make_keys(folder: Path, hosts: Sequence[str], nodes: int) -> FleetKeys:
         _write(place / "superlink.key", key_pem(key), private=True)
         _write(place / "superlink.crt", certificate_pem(certificate))
         for number in range(nodes):
-            _make_node(place / f"{_NODE}{number}", certificate_pem(authority))
+            (place / f"{_NODE}{number}").mkdir(mode=0o700)
+            _fill_node(place / f"{_NODE}{number}", certificate_pem(authority))
 
     folder.parent.mkdir(parents=True, exist_ok=True)
     _make_whole(folder, fill)
@@ -136,14 +135,7 @@ def make_keys(folder: Path, hosts: Sequence[str], nodes: int) -> FleetKeys:
 
 
 def add_nodes(folder: Path, nodes: int) -> list[NodeKeys]:
-    """Make keys for further SuperNodes of a fleet; the authority's key is not needed.
-
-    Args:
-        folder: that `make_keys` has made.
-        nodes: how many more.
-
-    Returns:
-        The new ones.
+    """Makes keys for further SuperNodes of a fleet, which are returned; needs no ``ca.key``.
 
     Raises:
         KeysError: the folder holds no fleet's keys, or the number is out of range.
@@ -173,7 +165,7 @@ def _numbers(folder: Path) -> list[int]:
 
 
 def _make_whole(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Make a folder (mode 700) that is either there with all that `fill` writes, or not there."""
+    """Makes a folder (mode 700) that is either there with all that `fill` writes, or not there."""
     place = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
         fill(place)
@@ -182,13 +174,8 @@ def _make_whole(folder: Path, fill: Callable[[Path], None]) -> None:
         shutil.rmtree(place, ignore_errors=True)
 
 
-def _make_node(folder: Path, authority_pem: str) -> None:
-    folder.mkdir(mode=0o700)
-    _fill_node(folder, authority_pem)
-
-
 def _fill_node(folder: Path, authority_pem: str) -> None:
-    """Write a SuperNode's files: both halves of its key in OpenSSH's form, as Flower takes them."""
+    """Writes a SuperNode's files: its key's halves are in OpenSSH's form, as Flower takes them."""
     key = ec.generate_private_key(ec.SECP384R1())
     private = key.private_bytes(
         serialization.Encoding.PEM,
@@ -204,9 +191,8 @@ def _fill_node(folder: Path, authority_pem: str) -> None:
 
 
 def _write(path: Path, text: str, *, private: bool = False) -> None:
-    """Write a new file; a private one is never readable by others, not even for a moment."""
+    """Writes a new file; a private one is never readable by others, not even for a moment."""
     mode = 0o600 if private else 0o644
-    with open(
-        os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w", encoding="utf-8"
-    ) as file:
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    with open(handle, "w", encoding="utf-8") as file:
         file.write(text)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 from experiments.flower.environment import CONNECTION
@@ -23,20 +23,12 @@ class Components:
 
 
 def write_manifest(folder: Path, components: Components) -> Path:
-    """Write the `pyproject.toml` of an app without code.
-
-    Args:
-        folder: made if missing; must hold nothing else.
-        components: where the two parts are imported from.
-
-    Returns:
-        The folder.
-    """
+    """Writes the `pyproject.toml` of an app without code; returns its folder, made if missing."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "pyproject.toml").write_text(
         f"""[project]
 name = "risfleet"
-version = {_toml_string(_own_version())}
+version = {_toml_string(version("risfleet"))}
 description = "Manifest only: the code is the installed risfleet"
 license = "Apache-2.0"
 dependencies = []
@@ -57,13 +49,13 @@ overrides = ""
 
 
 def write_run_config(path: Path, overrides: str) -> Path:
-    """Write the run's configuration: a file, since Flower splits a command line at blanks."""
+    """Writes the run's configuration: a file, since Flower splits a command line at blanks."""
     path.write_text(f"overrides = {_toml_string(overrides)}\n", encoding="utf-8")
     return path
 
 
 def write_connection(home: Path, address: str, authority: Path | None = None) -> None:
-    """Name a SuperLink on loopback in a Flower home, as its default connection.
+    """Names a SuperLink in a Flower home, as its default connection.
 
     Args:
         home: Flower's.
@@ -78,13 +70,6 @@ def write_connection(home: Path, address: str, authority: Path | None = None) ->
         f"address = {_toml_string(address)}\n{known}\n",
         encoding="utf-8",
     )
-
-
-def _own_version() -> str:
-    try:
-        return version("risfleet")
-    except PackageNotFoundError:
-        return "0.0.0"
 
 
 def _toml_string(value: str) -> str:

@@ -13,8 +13,7 @@ from typing import IO
 
 from experiments.flower.environment import FlowerError, child_environment
 from experiments.flower.guard import Guard
-from repeatable.private import started_apart
-from repeatable.processes import Process, identify, terminate
+from repeatable.processes import Process, identify, started_apart, terminate
 
 # Ray's socket, <folder>/ray/session_<date>_<pid>/sockets/plasma_store, must fit 103 bytes (107 on
 # Linux), which leaves this much for the folder in which ours is made.
@@ -33,7 +32,7 @@ class Session:
     """
 
     def __init__(self) -> None:
-        """Make the folder and start the watchdog."""
+        """Makes the folder and starts the watchdog."""
         root = tempfile.gettempdir()
         short = root if len(root) <= _LONGEST_ROOT or not os.path.isdir("/tmp") else "/tmp"
         self.folder = Path(tempfile.mkdtemp(prefix="rf-", dir=short))
@@ -46,16 +45,7 @@ class Session:
     def spawn(
         self, argv: Sequence[str], output: IO[bytes] | int, errors: int = subprocess.STDOUT
     ) -> subprocess.Popen[bytes]:
-        """Start a process in the folder, away from our terminal's signals.
-
-        Args:
-            argv: command and arguments.
-            output: where its standard output goes.
-            errors: where its standard error goes, by default to the same place.
-
-        Returns:
-            The process.
-        """
+        """Starts a process in the folder, away from our terminal's signals."""
         child = started_apart(argv, self.folder, self.environment, output, errors)
         self._children.append(child)
         if (process := identify(child.pid)) is not None:
@@ -64,7 +54,7 @@ class Session:
         return child
 
     def keep_guard(self) -> None:
-        """Start the watchdog anew if it has died; cheap, to be called once in a while."""
+        """Starts the watchdog anew if it has died; cheap, to be called once in a while."""
         self._guard.keep()
 
     def root(self, child: subprocess.Popen[bytes]) -> Process:
@@ -72,14 +62,7 @@ class Session:
         return next(row for row in self._roots if row.pid == child.pid)
 
     def run(self, argv: Sequence[str], timeout_s: float) -> tuple[int, str, str]:
-        """Run a short command to its end.
-
-        Args:
-            argv: command and arguments.
-            timeout_s: seconds it may take.
-
-        Returns:
-            Its exit status, its standard output, its standard error.
+        """Runs a short command; returns exit status, standard output and standard error.
 
         Raises:
             FlowerError: it took too long; it has been ended.
@@ -96,7 +79,7 @@ class Session:
         return child.returncode, output.decode(errors="replace"), errors.decode(errors="replace")
 
     def stop(self) -> None:
-        """End every process of the session and remove the folder; once is enough, twice is fine."""
+        """Ends every process of the session and removes the folder; may be called again."""
         left = terminate(self.marker, self._roots, self.folder)
         for child in self._children:
             child.poll()

@@ -38,11 +38,14 @@ class SuperLink:
     removed at the end, so every path that they are given must be absolute.
     """
 
+    poll_s = 1.0
+    """Seconds between questions after a run."""
+
     simulated: int | None = None
     """Nodes that Flower's simulation engine is to run; None where SuperNodes join."""
 
     def __init__(self, *, log_path: Path, start_timeout_s: float = 120.0, port: int = 0) -> None:
-        """Prepare; nothing is started yet.
+        """Prepares; nothing is started yet.
 
         Args:
             log_path: file that gets the SuperLink's output and, at the end, the runs' own.
@@ -62,7 +65,7 @@ class SuperLink:
         self._submitted: dict[int, float] = {}
 
     def __enter__(self) -> Self:
-        """Start the SuperLink and wait until it answers.
+        """Starts the SuperLink and waits until it answers.
 
         Raises:
             FlowerError: it does not, and why.
@@ -83,18 +86,11 @@ class SuperLink:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop everything."""
+        """Stops everything."""
         self.stop()
 
     def submit(self, overrides: str, components: Components | None = None) -> int:
-        """Hand in a run of the app.
-
-        Args:
-            overrides: the run's one configuration value.
-            components: the app's parts, by default this project's.
-
-        Returns:
-            The run's number.
+        """Hands in a run of the app, by default this project's; returns its number.
 
         Raises:
             FlowerError: Flower refuses.
@@ -107,13 +103,9 @@ class SuperLink:
         return run_id
 
     def status(self, run_id: int) -> Status:
-        """State of a run; a few milliseconds, to be asked about once a second.
+        """State of a run; FAILED also where what runs it died and Flower has not noticed.
 
-        Args:
-            run_id: from `submit`.
-
-        Returns:
-            The state; FAILED also where what runs it died and Flower has not noticed.
+        A few milliseconds, to be asked about once a second.
 
         Raises:
             UnansweredError: the SuperLink is there and does not answer.
@@ -129,22 +121,14 @@ class SuperLink:
         return status
 
     def log_tail(self, run_id: int, lines: int = 30) -> str:
-        """Last lines of what the ServerApp and the clients printed, else of the SuperLink's log.
-
-        Args:
-            run_id: from `submit`.
-            lines: how many.
-
-        Returns:
-            The lines, without colours.
-        """
+        """Last lines of what the ServerApp and the clients printed, else of the SuperLink's log."""
         text = ""
         with suppress(ControlError):
             text = control.run_log(self._port, run_id, self._authority)
         return tail(_ANSI.sub("", text), lines) or self._superlink_log(lines)
 
     def stop(self) -> None:
-        """End every process and remove the private folder; may be called again."""
+        """Ends every process and removes the private folder; may be called again."""
         session, self._session = self._session, None
         if session is None:
             return
@@ -179,7 +163,7 @@ class SuperLink:
     # --- The SuperLink's process ------------------------------------------------------------------
 
     def _start(self, *, last: bool) -> bool:
-        """Start the SuperLink; False where its port was taken in the meantime."""
+        """Starts the SuperLink; False where its port was taken in the meantime."""
         assert self._session is not None
         assert self._log is not None
         self._port = self._wanted_port or free_port()
@@ -250,7 +234,7 @@ class SuperLink:
         return ""
 
     def _save_run_logs(self) -> None:
-        """Append what the runs printed, which only the SuperLink's memory holds."""
+        """Appends what the runs printed, which only the SuperLink's memory holds."""
         if self._log is None or self._superlink is None or self._superlink.poll() is not None:
             return
         for run_id in self._submitted:

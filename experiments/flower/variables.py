@@ -42,13 +42,9 @@ COLOURS = ("FORCE_COLOR", "CLICOLOR_FORCE", "TTY_COMPATIBLE", "TTY_INTERACTIVE",
 
 
 def chosen(variables: Mapping[str, str] | None = None) -> dict[str, str]:
-    """The variables that a process of a private session gets of the user's.
+    """The variables that a process of a private session gets of the user's, or this process's.
 
-    Args:
-        variables: the user's, this process's if None.
-
-    Returns:
-        Those that are listed or that the user has named, proxies left out in any case.
+    They are those that are listed or that the user has named, proxies left out in any case.
     """
     given = os.environ if variables is None else variables
     named = (name.strip() for name in given.get(PASS, "").split(","))

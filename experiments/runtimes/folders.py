@@ -23,8 +23,10 @@ def new_folder(config: Config) -> Path:
     """
     if config.run.dir is None:
         return dated(Path("runs"), f"-k{config.env.robots}-s{config.seed}")
-    check_unused(Path(config.run.dir))
-    return Path(config.run.dir)
+    folder = Path(config.run.dir)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
+    return folder
 
 
 def dated(parent: Path, ending: str = "") -> Path:
@@ -47,16 +49,6 @@ def dated(parent: Path, ending: str = "") -> Path:
         raise _unmade(folder, error) from error
 
 
-def check_unused(folder: Path) -> None:
-    """Checks that a folder is free for a run.
-
-    Raises:
-        ConfigError: it is in use.
-    """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty")])
-
-
 def prepare_run(config: Config, folder: Path) -> tuple[Config, RunFolder]:
     """A configuration that names its run and says where it is, and that folder, which is made.
 
@@ -66,12 +58,6 @@ def prepare_run(config: Config, folder: Path) -> tuple[Config, RunFolder]:
     folder = made(folder)
     run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
     return dataclasses.replace(config, run=run), RunFolder(folder)
-
-
-def near(folder: Path) -> Path:
-    """A folder as it is called from the working folder, if it lies below that."""
-    here = Path.cwd()
-    return folder.relative_to(here) if folder.is_relative_to(here) else folder
 
 
 def made(folder: Path) -> Path:

@@ -33,16 +33,7 @@ class LocalRooms(RoomKeeper):
 
 
 def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) -> dict[str, Any]:
-    """Trains in this process.
-
-    Args:
-        config: the run's configuration.
-        folder: the run's folder.
-        resumed: where the run goes on, if it does not begin.
-
-    Returns:
-        What ``summary.json`` holds.
-    """
+    """Trains in this process, from where the run goes on; returns what ``summary.json`` holds."""
     try:
         state = None if config.state.every is None else folder.state
         if has_rooms(config):

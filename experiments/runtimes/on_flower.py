@@ -6,19 +6,15 @@ import dataclasses
 import shlex
 import time
 from contextlib import suppress
-from typing import Any, Protocol, Self
+from typing import Any
 
 from conf import Config, flower_clients, has_rooms, to_yaml
-from experiments.flower import (
-    Connection,
-    Federation,
-    FlowerError,
-    ProcessLostError,
-    RunState,
-    SimulationSuperLink,
-    Status,
-    UnansweredError,
-)
+from experiments.flower.connection import Connection
+from experiments.flower.control import RunState, Status
+from experiments.flower.engine import SimulationSuperLink
+from experiments.flower.environment import FlowerError, ProcessLostError, UnansweredError
+from experiments.flower.federation import Federation
+from experiments.flower.superlink import SuperLink
 from lockstep import LinkTimeout, RobotLost
 from storage.checkpoint_files import CheckpointError
 from training.checkpoint import Checkpoint, latest
@@ -26,7 +22,6 @@ from training.resume import kept_robots
 from training.rooms import RoomsLostError
 from training.run_folder import RunFolder
 
-POLL_S = 1.0
 MOST_IN_VAIN = 3
 """Starts in a row without a new checkpoint before a run is given up."""
 
@@ -34,40 +29,17 @@ LOSSES = tuple(f"{kind.__name__}: " for kind in (RobotLost, LinkTimeout, RoomsLo
 """How the message of a run begins that has lost a robot or a room."""
 
 
-class Runner(Protocol):
-    """Where runs of the app are handed in."""
-
-    def __enter__(self) -> Self:
-        """Begin."""
-        ...
-
-    def __exit__(self, *error: object) -> None:
-        """End all that this has started."""
-        ...
-
-    def submit(self, overrides: str) -> int:
-        """Hand in a run; returns its number."""
-        ...
-
-    def status(self, run_id: int) -> Status:
-        """State of a run."""
-        ...
-
-    def log_tail(self, run_id: int) -> str:
-        """The end of its log."""
-        ...
+Runner = SuperLink | Connection
+"""Where runs of the app are handed in."""
 
 
 def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) -> dict[str, Any]:
     """Trains on Flower: on processes of this run's own, which end with it, or on a federation.
 
-    Args:
-        config: the run's configuration, with an absolute ``run.dir`` and a ``run.id``.
-        folder: the run's folder.
-        resumed: where the run goes on, if it does not begin.
+    The configuration has an absolute ``run.dir`` and a ``run.id``.
 
     Returns:
-        What ``summary.json`` holds; where the ServerApp's machine is another, that it is there.
+        What ``summary.json`` holds; nothing where the ServerApp's machine is another.
 
     Raises:
         FlowerError: Flower or the run failed; the message holds the end of the log.
@@ -89,10 +61,7 @@ def train(config: Config, folder: RunFolder, resumed: Checkpoint | None = None) 
 
 
 def _run_with_restarts(config: Config, folder: RunFolder, resumed: Checkpoint | None) -> list[str]:
-    """Runs to the end; where processes died that this has started, starts them again.
-
-    Returns:
-        Why, for each time that they were started again.
+    """Runs to the end; where processes died that this has started, starts them again, says why.
 
     Raises:
         FlowerError: the run failed, or they die again and again.
@@ -160,7 +129,7 @@ def _awaited(runner: Runner, run_id: int, patience_s: float) -> Status:
             heard = time.monotonic()
             if status.finished:
                 return status
-        time.sleep(getattr(runner, "poll_s", POLL_S))
+        time.sleep(runner.poll_s)
 
 
 def _runner(config: Config, folder: RunFolder) -> Runner:
@@ -186,7 +155,5 @@ def _failure(folder: RunFolder, status: Status, log_tail: str) -> FlowerError:
     if message is not None:
         kind = ProcessLostError if message.startswith(LOSSES) else FlowerError
         return kind(f"The run failed: {message} (log: {folder.log_file})")
-    message = f"The run ended as {status.state}. {status.details}".strip()
-    return (FlowerError if status.details.startswith("ServerApp failed") else ProcessLostError)(
-        message, log_tail
-    )
+    kind = FlowerError if status.details.startswith("ServerApp failed") else ProcessLostError
+    return kind(f"The run ended as {status.state}. {status.details}".strip(), log_tail)

@@ -10,12 +10,12 @@ from typing import Any
 
 from conf import Config, ConfigError
 from env.plugins import PluginError
-from experiments.console import notices
+from experiments.console import PLAIN
 from experiments.console.display import show_summary
 from experiments.console.mishaps import in_words
-from experiments.console.plain import PLAIN
+from experiments.console.notices import notices
 from experiments.console.screen import Screen
-from experiments.flower import FlowerError
+from experiments.flower.environment import FlowerError
 from experiments.runtimes import local, on_flower
 from experiments.runtimes.folders import new_folder, prepare_run, run_lock
 from experiments.runtimes.stopping import StopSignals
@@ -40,13 +40,9 @@ RUNTIMES: dict[str, Runtime] = {
 
 
 def print_error(error: Exception) -> int:
-    """Prints what ended a run or kept it from starting; returns the exit status.
-
-    How to go on is said, too, where it is known.
-    """
-    print(
-        f"risfleet: {in_words(error)}", *getattr(error, "__notes__", []), sep="\n", file=sys.stderr
-    )
+    """Prints what ended a run, or kept it from starting, and its notes; returns the exit status."""
+    notes = getattr(error, "__notes__", [])
+    print(f"risfleet: {in_words(error)}", *notes, sep="\n", file=sys.stderr)
     return 2 if isinstance(error, ConfigError | PluginError) else 1
 
 
@@ -59,19 +55,14 @@ def planned(overrides: Sequence[str]) -> tuple[Config, Path, Checkpoint | None]:
     Raises:
         ConfigError: a mistake of the user's, or a folder that is in use.
     """
-    if resume.asked(overrides):
+    checkpoint = None
+    if resumes := resume.asked(overrides):
         config, checkpoint = resume.read(overrides)
-        _check_address(config)
-        return config, RunFolder.of(config).path, checkpoint
-    config = checked_training(overrides)
-    _check_address(config)
-    return config, new_folder(config), None
-
-
-def _check_address(config: Config) -> None:
-    """Checks the link's address, unless it is another machine's."""
-    if config.runtime.connection is None:
+    else:
+        config = checked_training(overrides)
+    if config.runtime.connection is None:  # else it is another machine's
         check_address(config)
+    return config, RunFolder.of(config).path if resumes else new_folder(config), checkpoint
 
 
 def train(
@@ -80,13 +71,13 @@ def train(
     resumed: Checkpoint | None = None,
     screen: Screen | None = None,
 ) -> StopSignals:
-    """Trains one run and shows it.
+    """Trains one run and shows it, as on a command line if there is no screen.
 
     Args:
         config: a checked configuration.
         folder: the run's folder, new or empty unless it goes on.
         resumed: where the run goes on, if it does not begin.
-        screen: how it is shown; as on a command line if None.
+        screen: how it is shown.
 
     Returns:
         Whether a signal ended the run early.
@@ -176,9 +167,8 @@ def _train_shown(
     elif not screen.in_notebook:
         show_summary(console, summary, folder)
     if stop.asked:
-        console.print(
-            f"Stopped early by {stop.name}: what was learned until then is in the run folder."
-        )
+        say = "what was learned until then is in the run folder"
+        console.print(f"Stopped early by {stop.name}: {say}.")
     return stop
 
 
@@ -187,5 +177,6 @@ def _shown(config: Config, folder: Path, screen: Screen) -> tuple[Config, RunFol
     config, own = prepare_run(config, folder)
     if not screen.in_notebook:
         screen.console.print(f"run folder: {own}", **PLAIN)
-    notices.show(config, screen.console)
+    for line in notices(config):
+        screen.console.print(f"note: {line}", **PLAIN)
     return config, own

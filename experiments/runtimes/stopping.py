@@ -21,11 +21,8 @@ NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 class StopSignals:
     """A first signal asks runs to end at their next aggregation; a second one ends them at once.
 
-    Python hands signals to its main thread alone: in any other, nothing is taken over.
-
-    Args:
-        files: the files that runs look for at each aggregation.
-        console: where to say so.
+    Python hands signals to its main thread alone: in any other, nothing is taken over. Runs look
+    for ``files`` at each aggregation.
 
     Attributes:
         number: the signal that has asked, None if none has.
@@ -81,11 +78,7 @@ class StopSignals:
 
 
 def pass_on(status: int) -> None:
-    """Raises SIGTERM once more where it has ended runs: the process, too, is to end.
-
-    Args:
-        status: see ``StopSignals.status``.
-    """
+    """Raises SIGTERM again where by ``StopSignals.status`` it ended runs: the process ends, too."""
     if status == 128 + signal.SIGTERM:
         signal.raise_signal(signal.SIGTERM)
 
@@ -128,7 +121,7 @@ class IgnoredSignals:
 
     def __enter__(self) -> None:
         """Handles the signals, by doing nothing: a handler is not inherited, unlike a mask."""
-        self._before = {number: signal.signal(number, _do_nothing) for number in STOPPING}
+        self._before = {number: signal.signal(number, lambda *_: None) for number in STOPPING}
         self._mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
 
     def __exit__(self, *error: object) -> None:
@@ -136,7 +129,3 @@ class IgnoredSignals:
         signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
         for number, handler in self._before.items():
             signal.signal(number, handler)
-
-
-def _do_nothing(number: int, frame: FrameType | None) -> None:
-    pass

@@ -39,14 +39,10 @@ def save_film(panels: Sequence[Panel], out: Path, frames_per_slot: int) -> None:
     Raises:
         ConfigError: that package is missing.
     """
-    rate = SLOTS_PER_S * frames_per_slot
-    pictures = frames(panels, frames_per_slot)
     part = out.with_name(f".{out.name}.part{out.suffix}")
     try:
-        if out.suffix == ".mp4":
-            _save_mp4(pictures, part, rate)
-        else:
-            _save_gif(pictures, part, rate)
+        write = _save_mp4 if out.suffix == ".mp4" else _save_gif
+        write(frames(panels, frames_per_slot), part, SLOTS_PER_S * frames_per_slot)
         part.replace(out)
     finally:
         part.unlink(missing_ok=True)

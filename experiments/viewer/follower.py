@@ -14,8 +14,8 @@ from env.scenario import Scenario
 from experiments.console.display import SILENT_S, describe, silent_s
 from experiments.viewer.replays import Panel
 from experiments.viewer.scene import scene
-from training.known_rooms import known_rooms
 from training.recording.csv_log import read_columns
+from training.rooms import known_rooms
 from training.run_folder import RunFolder
 
 POINTS = 400
@@ -48,8 +48,7 @@ class Follower:
         self.config = folder.read_config()
         self._scenes: dict[str, dict[str, Any]] = {}
         self._rooms: list[Room] | None = None
-        self._drawn: tuple[Stamps, str] | None = None
-        self._scores: tuple[Stamps, Scores] | None = None
+        self._made: dict[tuple[Path, ...], tuple[Stamps, Any]] = {}
 
     def events(self) -> Iterator[Event]:
         """Everything that the page shows, in its present state; one after the other.
@@ -58,7 +57,9 @@ class Follower:
         episode; or, of a building, "rooms", each with what it has come to and a version that
         changes with its newest episode.
         """
-        parts: dict[str, Callable[[], str]] = {"curves": self._curves}
+        files = self.folder.metrics_file, self.folder.evaluations_file
+        parts: dict[str, Callable[[], str]] = {}
+        parts["curves"] = lambda: str(self._current(self._curves, *files))
         if has_rooms(self.config):
             parts["rooms"] = lambda: json.dumps([*self._wall()])
         else:
@@ -92,12 +93,8 @@ class Follower:
         if episode is None:
             return None
         title = f"Newest evaluation: episode {episode['episode']}, tick {episode['tick']}, greedy"
-        where = f"Room {name}. " if name else ""
-        return {
-            "title": where + title,
-            "scene": self._scene(config, name or ""),
-            "episode": episode,
-        }
+        title = f"Room {name}. {title}" if name else title
+        return {"title": title, "scene": self._scene(config, name or ""), "episode": episode}
 
     def rooms(self) -> Sequence[Room]:
         """A building's rooms; none of a run without, or that has not written them yet."""
@@ -133,35 +130,17 @@ class Follower:
         clients = [[*_client(each)] for each in status.get("clients", ())]
         return json.dumps({"said": said, "figures": figures, "clients": clients})
 
-    def _curves(self) -> str:
-        """Learning curves; worked out anew when one of the files has changed."""
-        files = (self.folder.metrics_file, self.folder.evaluations_file)
-        stamp = tuple(_stamp(file) for file in files)
-        if self._drawn is None or self._drawn[0] != stamp:
-            self._drawn = stamp, self._curves_of(*files)
-        return self._drawn[1]
-
-    def _curves_of(self, metrics: Path, evaluations: Path) -> str:
+    def _curves(self, metrics: Path, evaluations: Path) -> str:
         episodes, rows = _columns(metrics), _columns(evaluations)
-        unit, at = "episode", "episode"
-        if has_rooms(self.config):  # episodes are counted by room
-            unit, at = "tick", "tick"
+        at = "tick" if has_rooms(self.config) else "episode"  # episodes are counted by room
         greedy = {name: values[1::2] for name, values in rows.items()}
         explored = {name: values[::2] for name, values in rows.items()}
-        return json.dumps(
-            {
-                "unit": unit,
-                "train": _thinned(episodes, at),
-                "explored": _thinned(explored, at),
-                "greedy": _thinned(greedy, at),
-            }
-        )
+        curves = {"train": episodes, "explored": explored, "greedy": greedy}
+        drawn = {name: _thinned(columns, at) for name, columns in curves.items()}
+        return json.dumps({"unit": at, **drawn})
 
     def _wall(self) -> Iterator[dict[str, str]]:
-        log = self.folder.rooms_log_file
-        if self._scores is None or self._scores[0] != (_stamp(log),):
-            self._scores = (_stamp(log),), _newest(log)
-        newest = self._scores[1]
+        newest: Scores = self._current(_newest, self.folder.rooms_log_file)
         for room in self.rooms():
             try:
                 version = str(self.folder.room(room.name).episode_file.stat().st_mtime_ns)
@@ -170,6 +149,13 @@ class Follower:
             row = newest.get((str(int(room.held_out)), str(room.index)))
             said = f"{float(row['success']):.0%} arrive, EE {float(row['ee']):.3f}" if row else ""
             yield {"name": room.name, "said": said, "version": version}
+
+    def _current(self, make: Callable[..., Any], *files: Path) -> Any:
+        """What is made of files; made anew when one of them has changed."""
+        stamps = tuple(map(_stamp, files))
+        if files not in self._made or self._made[files][0] != stamps:
+            self._made[files] = stamps, make(*files)
+        return self._made[files][1]
 
 
 def _stamp(path: Path) -> tuple[int, int]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent import single_threaded
-from conf import Config, ConfigError, has_rooms
+from conf import ConfigError, has_rooms
 from conf.user_paths import user_path
 from experiments.analysis import played
 from experiments.viewer.scene import scene
@@ -23,7 +23,6 @@ RIVALS = {
     RULE: "shortest ways, best phases and powers",
 }
 """What drives from the same start without learning, by its name on the command line."""
-
 
 Panel = dict[str, Any]
 """A "title", a "scene" as ``scene.scene``, and an "episode" as ``training.trace.recorded``."""
@@ -59,7 +58,7 @@ def _start(run: RunFolder, other: RunFolder, episode: int) -> NDArray[np.int64]:
     Raises:
         ConfigError: the other run's floor or destinations are not the same.
     """
-    one, its = (_evaluator(_config(folder)) for folder in (run, other))
+    one, its = _evaluator(run), _evaluator(other)
     same = np.array_equal(one.world.floor.centres(), its.world.floor.centres())
     if not (same and np.array_equal(one.world.destinations, its.world.destinations)):
         say = "a run on a floor of the same cells, whose robots have the same destinations"
@@ -85,9 +84,8 @@ def of_run(
     Raises:
         ConfigError: the folder is none of a run that has ended, or is a building's.
     """
-    config = _config(folder)
-    weights = folder.read_weights(config)
-    evaluator = one_start(_evaluator(config), 0 if start is not None else episode)
+    evaluator = one_start(_evaluator(folder), 0 if start is not None else episode)
+    weights = folder.read_weights(evaluator.config)
     if start is not None:
         evaluator.starts = start
     driven = played.learned(evaluator, weights, epsilon)
@@ -101,7 +99,7 @@ def rival(folder: RunFolder, episode: int, name: str) -> Panel:
     Raises:
         ConfigError: there is no plan, as with fading that changes in each slot.
     """
-    evaluator = one_start(_evaluator(_config(folder)), episode)
+    evaluator = one_start(_evaluator(folder), episode)
     try:
         driven = played.planned(evaluator) if name == ORACLE else played.ruled(evaluator)
     except ValueError as error:
@@ -116,26 +114,20 @@ def one_start(whole: Evaluator, episode: int) -> Evaluator:
         ConfigError: there are not so many.
     """
     if not 0 <= episode < whole.episodes:
-        last = whole.episodes - 1
-        raise ConfigError(
-            f"--episode {episode}: allowed is 0 to {last}, the run's held-out starts."
-        )
+        allowed = f"0 to {whole.episodes - 1}, the run's held-out starts"
+        raise ConfigError(f"--episode {episode}: allowed is {allowed}.")
     one = Evaluator(whole.config, whole.world.scenario, episodes=1)
     one.starts = whole.starts[episode : episode + 1]
     return one
 
 
-def _evaluator(config: Config) -> Evaluator:
-    single_threaded()
-    return Evaluator(config)
-
-
-def _config(folder: RunFolder) -> Config:
+def _evaluator(folder: RunFolder) -> Evaluator:
     config = folder.read_config()
     if has_rooms(config):
         some = folder.room("0000")
         raise ConfigError(f"{folder}: allowed is one of the building's rooms, such as {some}.")
-    return config
+    single_threaded()
+    return Evaluator(config)
 
 
 def _panel(title: str, driven: played.PlayedEpisodes) -> Panel:

@@ -34,7 +34,7 @@ def save(panels: Sequence[Panel], title: str, out: Path, frames_per_slot: int) -
     Args:
         panels: the episodes.
         title: of a page.
-        out: a page, ``.html``, or a film, ``.gif`` or ``.mp4``.
+        out: see ``check_out``.
         frames_per_slot: pictures of a film for each slot.
 
     Raises:

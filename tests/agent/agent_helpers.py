@@ -12,11 +12,8 @@ def generators(seeds):
 class Experience:
     """Random transitions of n agents over some ticks, with idle agents and late starters."""
 
-    def __init__(self, shape, agents, ticks, seed=0, idle=0.2, late=15, chained=False):
-        """Draws everything at once; agent i is idle for the first i * late ticks.
-
-        Where chained, most transitions end in the state in which the next one starts.
-        """
+    def __init__(self, shape, agents, ticks, seed=0, idle=0.2, late=15):
+        """Draws everything at once; agent i is idle for the first i * late ticks."""
         rng = np.random.default_rng(seed)
         self.ticks = ticks
         self.observations = rng.normal(size=(ticks, agents, shape.inputs)).astype(np.float32)
@@ -26,9 +23,6 @@ class Experience:
         self.active = rng.random((ticks, agents)) >= idle
         for agent in range(agents):
             self.active[: late * agent, agent] = False
-        if chained:
-            leads = rng.random((ticks - 1, agents, 1)) < 0.9
-            np.copyto(self.next[:-1], self.observations[1:], where=leads)
 
 
 def fleet(shape, config, seeds, discount=0.8, mu=0.0, worlds=1):
@@ -75,7 +69,7 @@ def small_config(**changes):
 
 
 def shape_of(config, inputs=5, actions=7):
-    return NetworkShape(inputs, tuple(config.hidden), actions, config.dueling)
+    return NetworkShape(inputs, tuple(config.hidden), actions)
 
 
 def same_bits(one, other):

@@ -8,10 +8,10 @@ import torch
 from agent_helpers import Experience, fleet, generators, live, same_bits, shape_of, small_config
 from threadpoolctl import threadpool_info, threadpool_limits  # type: ignore[import-untyped]
 
-from agent import DQN, AgentConfig, NetworkShape, PriorityConfig, TargetConfig, single_threaded
+from agent import DQN, AgentConfig, NetworkShape, TargetConfig, single_threaded
 from agent.learning.learner import Learner, contiguous_runs, learning_rate_at
 from agent.reference import ReferenceDQN
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 
 
 def row_of(network):
@@ -32,23 +32,9 @@ def row_of(network):
         ({"double": True}, 0.8, 0.0),
         ({"huber_delta": 0.2}, 0.0, 0.0),
         ({}, 0.8, 0.05),
-        ({"dueling": True}, 0.8, 0.0),
-        ({"dueling": True, "double": True}, 0.8, 0.0),
-        ({"priority": PriorityConfig(alpha=0.5)}, 0.8, 0.0),
-        ({"learning_rate_end": 1e-4, "learning_rate_updates": 150}, 0.8, 0.0),
+        ({"learning_rate_end": 1e-4, "learning_rate_updates": 50}, 0.8, 0.0),
     ],
-    ids=[
-        "plain",
-        "2x64",
-        "2x128",
-        "double",
-        "no discount",
-        "FedProx",
-        "dueling",
-        "double dueling",
-        "weighted",
-        "falling rate",
-    ],
+    ids=["plain", "2x64", "2x128", "double", "no discount", "FedProx", "falling rate"],
 )
 def test_the_learner_agrees_with_the_reference(changes, discount, mu):
     config = small_config(**changes)
@@ -61,7 +47,7 @@ def test_the_learner_agrees_with_the_reference(changes, discount, mu):
         learner.weights[agent], learner.proximal_reference[agent] = row, row
         eager.append(ReferenceDQN(shape, config, discount, rng, row, mu))
     size = config.batch_size
-    for update in range(200):
+    for update in range(80):
         expected = []
         for agent, plain in enumerate(eager):
             layout.pack(
@@ -73,21 +59,10 @@ def test_the_learner_agrees_with_the_reference(changes, discount, mu):
                 learner.batch[agent],
             )
             fields = layout.unpack(learner.batch[agent])
-            weights = np.ones(size, np.float32)
-            if learner.weighing is not None:
-                weights = learner.weighing.importance[agent]
-                weights[:] = rng.random(size)
-            rate = learning_rate_at(config, update)
-            plain.optimizer.param_groups[0]["lr"] = rate
-            expected.append(
-                plain.update(  # type: ignore[call-arg]
-                    *(torch.from_numpy(x.copy()) for x in fields[:3]),
-                    *(torch.from_numpy(x.copy()) for x in fields[3:]),
-                    torch.from_numpy(weights.copy()),
-                )
-            )
+            plain.optimizer.param_groups[0]["lr"] = learning_rate_at(config, update)
+            expected.append(plain.update(*(torch.from_numpy(x.copy()) for x in fields)))
         np.testing.assert_allclose(learner.update([True, True]), expected, rtol=1e-4)
-        if update % 50 == 49:
+        if update % 25 == 24:
             for agent, plain in enumerate(eager):
                 plain.copy_to_target()
                 learner.copy_to_target(agent)
@@ -146,7 +121,7 @@ def test_a_soft_target_moves_by_tau_at_every_update():
 def test_fedprox_pulls_towards_the_weights_last_loaded():
     config = small_config()
     shape = shape_of(config)
-    experience = Experience(shape, 1, 300, idle=0)
+    experience = Experience(shape, 1, 150, idle=0)
     drift = []
     for mu in (0.0, 10.0):
         agent = fleet(shape, config, [1], mu=mu)

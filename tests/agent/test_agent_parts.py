@@ -8,19 +8,11 @@ from agent_helpers import generators, same_bits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent import (
-    AgentConfig,
-    DiscountConfig,
-    EpsilonConfig,
-    PriorityConfig,
-    TargetConfig,
-    epsilon_at,
-)
+from agent import AgentConfig, DiscountConfig, EpsilonConfig, TargetConfig, epsilon_at
 from agent.config import rules
 from agent.exploration import GREEDY, NO_ACTION, _explore_in_worlds, explore
 from agent.learning.losses import double_dqn_values, dqn_values, huber, td_target
-from agent.replay.prioritised import PrioritisedReplay
-from agent.replay.uniform import Replay, RowLayout
+from agent.replay import Replay, RowLayout
 from env import validate
 from storage.generators import generator_state, restore_generator
 
@@ -47,9 +39,6 @@ def test_the_default_configuration_has_no_problems():
         ({"learning_rate_updates": 0}, "agent.learning_rate_updates"),
         ({"updates": 0}, "agent.updates"),
         ({"updates": 101}, "agent.updates"),
-        ({"n_step": 0}, "agent.n_step"),
-        ({"priority": PriorityConfig(alpha=1.5)}, "agent.priority.alpha"),
-        ({"priority": PriorityConfig(beta=float("nan"))}, "agent.priority.beta"),
         ({"huber_delta": -1.0}, "agent.huber_delta"),
         ({"reward_scale": float("inf")}, "agent.reward_scale"),
         ({"batch_size": 0}, "agent.batch_size"),
@@ -89,19 +78,9 @@ def test_a_replay_holds_the_newest_transitions(capacity, added):
     assert same_bits(copy.rows(), replay.rows())
 
 
-def replay_of(kind, capacity):
-    """A replay of rows of one number."""
-    if kind == "uniform":
-        return Replay(capacity, 1)
-    places = np.empty((2, 5), np.float32)
-    return PrioritisedReplay(capacity, 1, PriorityConfig(alpha=0.6), *places)
-
-
-@pytest.mark.parametrize("kind", ["uniform", "prioritised"])
 @given(st.integers(1, 12), st.lists(st.integers(0, 30), min_size=1, max_size=6))
-def test_many_transitions_are_stored_as_one_after_the_other(kind, capacity, sizes):
-    at_once, singly = replay_of(kind, capacity), replay_of(kind, capacity)
-    drawn, rng = np.empty((2, 5, 1), np.float32), generators([1, 1])
+def test_many_transitions_are_stored_as_one_after_the_other(capacity, sizes):
+    at_once, singly = Replay(capacity, 1), Replay(capacity, 1)
     for size in sizes:
         rows = np.arange(at_once.added, at_once.added + size, dtype=np.float32)[:, None]
         at_once.extend(rows)
@@ -109,16 +88,6 @@ def test_many_transitions_are_stored_as_one_after_the_other(kind, capacity, size
             singly.add(row)
         assert (at_once.added, len(at_once)) == (singly.added, len(singly))
         assert same_bits(at_once.rows(), singly.rows())
-        if not len(singly):
-            continue
-        for replay, generator, out in zip((at_once, singly), rng, drawn, strict=True):
-            replay.sample(generator, out)
-            if kind == "prioritised":  # some become more likely than new ones, some less
-                replay._error[:] = 2.0 - out[:, 0] % 3
-            replay.update_priorities()
-        assert same_bits(*drawn)
-        for name, array in singly.extra_state().items():
-            assert same_bits(at_once.extra_state()[name], array), name
 
 
 def test_samples_are_spread_evenly_over_what_is_held():

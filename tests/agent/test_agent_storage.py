@@ -126,14 +126,13 @@ def test_any_byte_that_is_changed_is_seen_or_changes_nothing(tmp_path):
     path = save_checkpoint(tmp_path, 1, ARRAYS, META)
     whole = path.read_bytes()
     for place in range(len(whole)):
-        for bits in (0x01, 0x20, 0x80):
-            damaged = bytearray(whole)
-            damaged[place] ^= bits
-            path.write_bytes(damaged)
-            with suppress(CheckpointError):
-                arrays, meta = load_checkpoint(tmp_path, 1)
-                assert meta == META
-                assert all(np.array_equal(arrays[name], ARRAYS[name]) for name in ARRAYS)
+        damaged = bytearray(whole)
+        damaged[place] ^= (0x01, 0x20, 0x80)[place % 3]
+        path.write_bytes(damaged)
+        with suppress(CheckpointError):
+            arrays, meta = load_checkpoint(tmp_path, 1)
+            assert meta == META
+            assert all(np.array_equal(arrays[name], ARRAYS[name]) for name in ARRAYS)
 
 
 def test_a_checkpoint_of_another_owner_is_refused(tmp_path):

@@ -82,10 +82,9 @@ def played(config: Config) -> list[dict[int, RoomReport]]:
         {},
         {"scheme.phase": "fixed"},
         {"strategy.name": "fedavgm", "strategy.momentum": 0.9, "train.worlds": 2},
-        {"agent.n_step": 3, "agent.priority.alpha": 0.6, "agent.learning_rate_end": 0.001,
-         "agent.learning_rate_updates": 60},
+        {"agent.learning_rate_end": 0.001, "agent.learning_rate_updates": 60},
     ],
-)  # fmt: skip
+)
 def test_a_room_goes_on_from_its_state_to_the_same_bits(
     tiny_building: Building, changes: dict[str, Any]
 ) -> None:

@@ -10,7 +10,7 @@ import pytest
 from flwr.app import ConfigRecord
 from numpy.typing import NDArray
 
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 from client_app.app import RoundConfig
 from client_app.robots import RobotGroup
 from client_app.state import load_state, save_state

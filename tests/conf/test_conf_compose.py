@@ -14,6 +14,8 @@ MISTAKES = [
     (["robots=2"], "robots is no key: did you mean env.robots"),
     (["env.ris.qqqqqqq=2"], "env.ris.qqqqqqq is no key: allowed here are env.ris.position_m, "),
     (["env.robots.k=2"], "env.robots.k is no key: did you mean env.robots"),
+    (["agent.n_step=3"], "agent.n_step was taken out: the last commit with it is 2a18898."),
+    (["agent.priority.alpha=.5"], "agent.priority was taken out: the last commit with it is 2a18"),
     (["zzz=1"], "zzz is no key: allowed here are seed, env, agent"),
     (["env.ris=3"], "env.ris is a group of keys: set one of them, such as env.ris.position_m."),
     # A wrong type.
@@ -73,9 +75,6 @@ MISTAKES = [
         ["baseline=centralized", "env.robots=2", "env.state.order=gain"],
         "env.state.order=gain: allowed is index with scheme.agents=centralized",
     ),
-    (["baseline=branching", "agent.n_step=3"], "agent.n_step=3: allowed is 1 with scheme.agents="),
-    (["baseline=branching", "agent.dueling=true"], "agent.dueling=True: allowed is false with "),
-    (["baseline=branching", "agent.priority.alpha=.5"], "agent.priority.alpha=0.5: allowed is 0"),
     (["baseline=shortest_best", "runtime=simulation"], "runtime.name=simulation: allowed is local"),
     (["baseline=shortest_best", "scheme.phase=fixed"], "scheme.phase=fixed: allowed is oracle"),
     (["baseline=shortest_canonical", "scheme.phase=learned"], "scheme.phase=learned: allowed is "),
@@ -133,26 +132,28 @@ def test_a_joint_agent_for_too_many_robots_is_refused_with_their_number():
     assert compose(["baseline=branching", "env.robots=64", *ALL_TO_ONE_PLACE])
 
 
-def test_powers_that_are_too_many_are_refused_with_their_number():
+def test_powers_that_are_too_many_are_refused_with_their_number(composed):
     with pytest.raises(ConfigError, match="170,016, and at most 100,000 are taken"):
-        compose(["scheme.power=ap", "env.power.levels=24", "env.robots=5"])
+        composed(["scheme.power=ap", "env.power.levels=24", "env.robots=5"])
     with pytest.raises(ConfigError, match=r"658,008 combinations .* at most 200,000 are searched"):
-        compose(["scheme.power=search", "env.power.levels=40", "env.robots=5"])
+        composed(["scheme.power=search", "env.power.levels=40", "env.robots=5"])
     with pytest.raises(ConfigError, match="279,936 combinations"):
-        compose(["scheme.power=search", "env.power.resolve=zero", "env.robots=7"])
+        composed(["scheme.power=search", "env.power.resolve=zero", "env.robots=7"])
     oma = ["env.access=oma", "env.power.levels=2", "env.robots=8"]
+    central = ["runtime.name=local", "strategy.name=none"]
     for power in ("ap", "search"):
-        assert compose([f"scheme.power={power}"]).scheme.power == power
-        assert compose([f"scheme.power={power}", *oma])
-        assert compose([f"scheme.power={power}", "baseline=centralized", "env.robots=3"])
-        assert compose([f"scheme.power={power}", "baseline=branching", "env.robots=4"])
-    assert compose(["scheme.power=search", "env.power.resolve=residual"])
+        assert composed([f"scheme.power={power}"]).scheme.power == power
+        assert composed([f"scheme.power={power}", *oma])
+        for agents, robots in (("centralized", 3), ("branching", 4)):
+            given = [f"scheme.agents={agents}", f"env.robots={robots}"]
+            assert composed([f"scheme.power={power}", *central, *given])
+    assert composed(["scheme.power=search", "env.power.resolve=residual"])
 
 
 @pytest.mark.parametrize(("overrides", "message"), MISTAKES, ids=lambda x: str(x)[:40])
-def test_a_mistake_is_one_sentence_with_the_key_and_what_is_allowed(overrides, message):
+def test_a_mistake_is_one_sentence_with_the_key_and_what_is_allowed(composed, overrides, message):
     with pytest.raises(ConfigError) as caught:
-        compose(overrides)
+        composed(overrides)
     text = str(caught.value)
     assert text.startswith(message)
     assert "\n" not in text
@@ -188,7 +189,6 @@ def test_the_last_of_two_overrides_counts():
 
 
 def test_null_lifts_a_limit():
-    assert compose(["train.max_ticks=100"]).train.max_ticks == 100
     assert compose(["train.max_ticks=100", "train.max_ticks=null"]).train.max_ticks is None
 
 
@@ -242,6 +242,8 @@ def test_a_configuration_survives_its_yaml():
         ("- 1\n- 2\n", "the configuration is no mapping"),
         ("env:\n  robotz: 3\n", "robotz"),
         ("env:\n  robots: many\n", "many"),
+        ("agent: ${nope}\n", "Interpolation key 'nope' not found"),
+        ("agent: 3\n", "AgentConfig. value: 3"),
         ("env:\n  robots: 0\n", "env.robots=0: allowed is a number from 1 to 64."),
     ],
 )
@@ -249,6 +251,28 @@ def test_a_file_of_another_schema_is_refused(text, message):
     with pytest.raises(ConfigError, match=message) as caught:
         from_yaml(text)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "stored",
+    [
+        "dueling: false",
+        "n_step: 1",
+        "priority: {alpha: 0.0, beta: 0.5}",
+        "priority: {beta: 0.4}",
+        "factored: false",
+    ],
+)
+def test_a_key_that_was_taken_out_is_passed_over_where_it_was_off(stored):
+    text = to_yaml(Config())
+    assert from_yaml(text.replace("agent:\n", f"agent:\n  {stored}\n", 1)) == from_yaml(text)
+
+
+@pytest.mark.parametrize("stored", ["dueling: true", "n_step: 3", "priority: {alpha: 0.6}"])
+def test_a_key_that_was_taken_out_is_refused_where_it_was_on(stored):
+    text = to_yaml(Config()).replace("agent:\n", f"agent:\n  {stored}\n", 1)
+    with pytest.raises(ConfigError, match=r"^agent\.\w+ was taken out: the last commit with it is"):
+        from_yaml(text)
 
 
 def test_a_run_cannot_be_changed_in_place():
@@ -259,10 +283,15 @@ def test_a_run_cannot_be_changed_in_place():
         config.federation.link.port = 1
 
 
+@pytest.fixture(scope="module")
+def best():
+    return compose(["experiment=best"])
+
+
 @pytest.mark.parametrize("robots", [1, 2, 3, 4, 6, 8, 16])
-def test_the_best_is_for_any_number_of_robots(robots):
+def test_the_best_is_for_any_number_of_robots(best, robots):
     levels = ["env.power.levels=16"] if robots > 6 else []
-    found = compose(["experiment=best", f"env.robots={robots}", *levels])
+    found = overridden(best, [f"env.robots={robots}", *levels])
     assert found.scheme.agents == "federated"
     assert found.scheme.power == "search"
     assert found.strategy.name != "none"

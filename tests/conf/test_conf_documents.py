@@ -1,27 +1,17 @@
 """The documents name functions, tests and keys that exist, and leave no key out."""
 
 import ast
-import dataclasses
 import re
 from pkgutil import resolve_name
 
 import pytest
 
-from conf import Config
-from conf.overrides import FOLDER
+from conf.overrides import FOLDER, all_keys
 
 ROOT = FOLDER.parent
 PACKAGES = (
-    "env",
-    "agent",
-    "storage",
-    "repeatable",
-    "lockstep",
-    "conf",
-    "training",
-    "client_app",
-    "server_app",
-    "experiments",
+    *("env", "agent", "storage", "repeatable", "lockstep"),
+    *("conf", "training", "client_app", "server_app", "experiments"),
 )
 MODEL = (ROOT / "docs" / "model.md").read_text()
 ASSUMPTIONS = (ROOT / "docs" / "assumptions.md").read_text()
@@ -37,17 +27,8 @@ HOW_FLOWER_CARRIES_IT = (
 )
 
 
-def leaves(value, above=""):
-    for item in dataclasses.fields(value):
-        inner, key = getattr(value, item.name), f"{above}{item.name}"
-        if dataclasses.is_dataclass(inner):
-            yield from leaves(inner, f"{key}.")
-        else:
-            yield key
-
-
 BASELINES = (ROOT / "docs" / "baselines.md").read_text()
-KEYS = set(leaves(Config()))
+KEYS = set(all_keys())
 
 
 def functions(path):

@@ -11,11 +11,11 @@ from conf import ConfigError, compose
     ("changes", "said"),
     [
         (["federation.own=tail"], "one of none, heads, trunk, input, normalisation"),
-        (["federation.own=heads", "strategy=none"], "none with strategy=none"),
+        (["federation.own=heads", "strategy.name=none"], "none with strategy=none"),
         (["federation.own=heads", "strategy=fedadam"], "none with strategy=fedadam"),
-        (["federation.own=heads", "strategy=gossip"], "none with strategy=gossip"),
+        (["federation.own=heads", "strategy.name=gossip"], "none with strategy=gossip"),
         (["federation.own=heads", "experiment=building"], "none in a building"),
-        (["strategy=gossip", "experiment=building"], "any other in a building"),
+        (["strategy.name=gossip", "experiment=building"], "any other in a building"),
         (["experiment=building", "rooms.strategy.name=visits"], "any other across rooms"),
         (
             ["federation.own=heads", "baseline=centralized"],
@@ -26,29 +26,32 @@ from conf import ConfigError, compose
             "none with federation.own=trunk: robots are not given one model",
         ),
         (
-            ["strategy=gossip", "federation.compression.targets=copied"],
+            ["strategy.name=gossip", "federation.compression.targets=copied"],
             "averaged with strategy=gossip: robots are not given one model",
         ),
         (
             ["federation.own=heads", "federation.compression.up=q8"],
             "none with federation.own=heads",
         ),
-        (["federation.own=heads", "strategy/dp=local"], "none with federation.own=heads"),
-        (["strategy=gossip", "federation.hear=1"], "null with strategy=gossip"),
-        (["strategy=gossip", "attack=flip"], "none with strategy=gossip"),
+        (["federation.own=heads", "strategy.dp.name=local"], "none with federation.own=heads"),
+        (["strategy.name=gossip", "federation.hear=1"], "null with strategy=gossip"),
+        (["strategy.name=gossip", "attack=flip"], "none with strategy=gossip"),
         (["federation.hear=1", "federation.fraction=0.5"], "1.0 with federation.hear"),
-        (["strategy=visits", "federation.losses.late=0.5"], "0.0 with strategy=visits"),
-        (["strategy=fedtrimmedavg", "strategy.trim=0.2"], "at least 1 / env.robots=3"),
-        (["strategy/dp=central", "federation.own=heads"], "none with strategy/dp=central"),
-        (["strategy/dp=adaptive", "federation.hear=2"], "null with strategy/dp=adaptive"),
-        (["strategy/dp=central", "federation.losses.late=0.1"], "0.0 with strategy/dp=central"),
+        (["strategy.name=visits", "federation.losses.late=0.5"], "0.0 with strategy=visits"),
+        (["strategy.name=fedtrimmedavg", "strategy.trim=0.2"], "at least 1 / env.robots=3"),
+        (["strategy.dp.name=central", "federation.own=heads"], "none with strategy/dp=central"),
+        (["strategy.dp.name=adaptive", "federation.hear=2"], "null with strategy/dp=adaptive"),
+        (
+            ["strategy.dp.name=central", "federation.losses.late=0.1"],
+            "0.0 with strategy/dp=central",
+        ),
         (["strategy=bulyan", "federation.hear=2"], "null with strategy=bulyan"),
-        (["strategy=gossip", "env.robots=1"], "env.robots of at least 2, not 1"),
+        (["strategy.name=gossip", "env.robots=1"], "env.robots of at least 2, not 1"),
     ],
 )
-def test_what_does_not_go_together_is_refused_in_a_sentence(changes, said):
+def test_what_does_not_go_together_is_refused_in_a_sentence(composed, changes, said):
     with pytest.raises(ConfigError) as refused:
-        compose(changes)
+        composed(changes)
     message = str(refused.value)
     assert said in message
     assert "\n" not in message.strip()
@@ -58,9 +61,9 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(changes, said):
     "changes",
     [
         ["federation.own=heads", "strategy=krum"],
-        ["federation.own=normalisation", "strategy=fedprox", "agent.dueling=true"],
+        ["federation.own=normalisation", "strategy=fedprox"],
         ["strategy=gossip", "strategy.graph=random", "strategy.degree=2", "train.worlds=2"],
-        ["strategy=visits", "agent.dueling=true"],
+        ["strategy=visits"],
         ["strategy/dp=local", "federation.hear=2", "federation.losses.probability=0.5"],
     ],
 )

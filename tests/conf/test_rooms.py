@@ -24,6 +24,7 @@ from conf.rooms import Room, from_json, room_name, rooms_of, to_json
 from env.geometry import floor_plans
 
 Building = Callable[..., Config]
+Compose = Callable[[list[str]], Config]
 
 TWO_WALLS = """
 [room]
@@ -188,7 +189,8 @@ ROOMS = st.builds(
 )
 
 
-@given(rooms=st.lists(ROOMS, max_size=4))
+@settings(max_examples=25)
+@given(rooms=st.lists(ROOMS, max_size=3))
 def test_rooms_come_back_from_their_text(rooms: list[Room]) -> None:
     text = to_json(rooms)
     assert from_json(text) == rooms
@@ -269,7 +271,7 @@ MISTAKES = [
         ["rooms.count=2", "baseline=shortest_best"],
         "rooms.count=2: allowed is 1 with scheme.agents=federated and scheme.robots=shortest_best",
     ),
-    (["rooms.count=2", "strategy=none"], "strategy.name=none: allowed is any other "),
+    (["rooms.count=2", "strategy.name=none"], "strategy.name=none: allowed is any other "),
     (
         ["rooms.count=2", "federation.windows_per_round=2"],
         "federation.windows_per_round=2: allowed is null in a building: ",
@@ -302,20 +304,22 @@ MISTAKES = [
         "federation.clients=4: allowed is a number from 1 to rooms.count=3, or null",
     ),
     (
-        ["runtime=deployment", "federation.on_loss=miss"],
+        ["runtime.name=deployment", "federation.on_loss=miss"],
         "federation.on_loss=miss: allowed is wait or abort here: rooms of a building in a deploy",
     ),
     (
-        ["runtime=simulation", "rooms.count=2", "federation.on_loss=miss"],
+        ["runtime.name=simulation", "rooms.count=2", "federation.on_loss=miss"],
         "federation.on_loss=miss: allowed is wait or abort here",
     ),
 ]
 
 
 @pytest.mark.parametrize(("overrides", "message"), MISTAKES)
-def test_a_mistake_in_a_building_costs_one_sentence(overrides: list[str], message: str) -> None:
+def test_a_mistake_in_a_building_costs_one_sentence(
+    composed: Compose, overrides: list[str], message: str
+) -> None:
     with pytest.raises(ConfigError) as error:
-        compose(overrides)
+        composed(overrides)
     sentences = str(error.value).splitlines()
     assert message in sentences[0]
     assert len(sentences) == 1 or "strategy.name=none" in sentences[1]
@@ -324,14 +328,14 @@ def test_a_mistake_in_a_building_costs_one_sentence(overrides: list[str], messag
 @pytest.mark.parametrize(
     "overrides",
     [
-        ["runtime=deployment", "rooms.count=2", "federation.on_loss=miss"],
+        ["runtime.name=deployment", "rooms.count=2", "federation.on_loss=miss"],
         ["rooms.count=3", "rooms.strategy.name=krum"],
         ["rooms.count=2", "rooms.strategy.name=fedavgm", "rooms.strategy.momentum=0.5"],
         ["rooms.count=3", "federation.clients=3", "env.robots=2"],
     ],
 )
-def test_what_goes_in_a_building_is_taken(overrides: list[str]) -> None:
-    assert compose(overrides).rooms.count > 1
+def test_what_goes_in_a_building_is_taken(composed: Compose, overrides: list[str]) -> None:
+    assert composed(overrides).rooms.count > 1
 
 
 def test_rooms_are_dealt_to_four_clients_at_most_unless_more_are_asked_for(

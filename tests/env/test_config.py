@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from env.config import MAX_PHASE_ACTIONS, EnvConfig
 from env.config_checks import problems
-from env.mdp.destinations import draw_destinations
 from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -266,8 +265,7 @@ def test_every_robot_of_an_allowed_configuration_has_somewhere_to_start(
         tasks__start_distance_m=start_m,
     )
     if not problems(config):
-        cells = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
-        world = World(Scenario(config, cells), stream(seed, Stream.WORLD))
+        world = World(Scenario.drawn(config, seed), stream(seed, Stream.WORLD))
         world.reset()
         assert world.driving.all()
 

@@ -16,7 +16,6 @@ from env import plugins
 from env.checks import checked_config
 from env.local_env import LocalEnv
 from env.mdp import reward
-from env.mdp.destinations import draw_destinations
 from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -77,8 +76,7 @@ def ramp(config, floor):
 
 def world_of(changes):
     config = checked_config({**BASE, **changes})
-    destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    return World(Scenario(config, destinations), stream(0, Stream.WORLD), worlds=5)
+    return World(Scenario.drawn(config, 0), stream(0, Stream.WORLD), worlds=5)
 
 
 def slots(world, count=40):
@@ -352,7 +350,7 @@ def test_a_registered_reward_trains_other_weights(tmp_path, tiny_overrides):
     env.register_reward("squared", squared)
     env.register_reward("papers", reward.local_reward)
     for name in ("paper", "papers", "squared"):
-        given = [f"env.reward.model={name}", f"run.dir={tmp_path / name}"]
+        given = [f"env.reward.model={name}", "train.max_ticks=30", f"run.dir={tmp_path / name}"]
         assert main(["train", *tiny_overrides, *given]) == 0
     assert digests(tmp_path / "papers") == digests(tmp_path / "paper")
     assert digests(tmp_path / "squared")["robots"] != digests(tmp_path / "paper")["robots"]
@@ -362,7 +360,8 @@ def test_the_pages_package_trains_with_the_pages_command(install, tmp_path, tiny
     install()
     folder = tmp_path / "run"
     (command,) = re.findall(r"^risfleet (.*)$", SHELL, re.M)
-    assert main([*command.split(), *tiny_overrides, f"run.dir={folder}"]) == 0
+    given = [*command.split(), *tiny_overrides, "train.max_ticks=10", f"run.dir={folder}"]
+    assert main(given) == 0
     written = json.loads((folder / "summary.json").read_text())["fingerprint"]
     assert "env.channel.model=free_space (my-lab 1.0" in written
     assert "env.reward.model=diminishing (my-lab 1.0" in written
@@ -380,8 +379,8 @@ def test_the_pages_script_trains(tmp_path, monkeypatch):
 def test_a_run_does_not_go_on_with_another_source(install, tmp_path, tiny_overrides, capsys):
     install()
     folder = tmp_path / "run"
-    given = ["env.reward.model=diminishing", "state.every=5", f"run.dir={folder}"]
-    assert main(["train", *tiny_overrides, *given]) == 0
+    given = ["env.reward.model=diminishing", "state.every=1", "train.max_ticks=20"]
+    assert main(["train", *tiny_overrides, *given, f"run.dir={folder}"]) == 0
     install(MODULE + "\n# changed\n", folder="changed")
     assert main(["train", f"resume={folder}"]) == 2
     assert "torch and plug-ins on this type of CPU" in capsys.readouterr().err

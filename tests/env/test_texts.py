@@ -12,11 +12,7 @@ from env.texts import read_text, read_unmarked_text
 
 ROOT = FOLDER.parent
 OURS = ("env", "agent", "conf", "client_app", "server_app", "experiments", "benchmarks", "docs")
-OF_LINUX = {
-    "agent/threads.py",
-    "benchmarks/memory.py",
-    "conf/fingerprint.py",
-}
+OF_LINUX = {"agent/threads.py", "benchmarks/memory.py", "conf/fingerprint.py"}
 """Read below /proc alone."""
 
 

@@ -17,12 +17,24 @@ N = "env.ris.subsurfaces=2"
 NEAR = (N, "env.ris.response=near")
 
 
+@pytest.fixture(scope="module")
+def small(tiny_overrides: tuple[str, ...]) -> tuple[str, ...]:
+    return (*tiny_overrides, "train.max_ticks=20")
+
+
+@pytest.fixture(scope="module")
+def written(small: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The channels of our own ``near`` model, as ``risfleet map`` writes them, and others."""
+    paths = [tmp_path_factory.mktemp("channels") / name for name in ("near.npz", "other.npz")]
+    for path, changes in zip(paths, (NEAR, (N,)), strict=True):
+        assert main(["map", *small, *changes, "--channels", str(path)]) == 0
+    return paths[0], paths[1]
+
+
 @pytest.fixture
-def channels(tiny_overrides: tuple[str, ...], tmp_path: Path) -> Path:
-    """The channels of our own ``near`` model, as ``risfleet map`` writes them."""
-    path = tmp_path / "my channels.npz"
-    assert main(["map", *tiny_overrides, *NEAR, "--channels", str(path)]) == 0
-    return path
+def channels(written: tuple[Path, Path], tmp_path: Path) -> Path:
+    """A copy of the first."""
+    return Path(shutil.copy(written[0], tmp_path / "my channels.npz"))
 
 
 def of(path: Path) -> tuple[str, ...]:
@@ -36,14 +48,14 @@ def error(capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_a_run_ends_in_the_bits_of_the_model_that_was_written(
-    tiny_overrides: tuple[str, ...],
+    small: tuple[str, ...],
     channels: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     ours, own = tmp_path / "ours", tmp_path / "file"
-    assert main(["train", *tiny_overrides, *NEAR, f"run.dir={ours}"]) == 0
-    assert main(["train", *tiny_overrides, *of(channels), f"run.dir={own}"]) == 0
+    assert main(["train", *small, *NEAR, f"run.dir={ours}"]) == 0
+    assert main(["train", *small, *of(channels), f"run.dir={own}"]) == 0
     assert summary(own)["digest"] == summary(ours)["digest"]
     kept = RunFolder(own).read_config().env.channel
     assert kept.file == str(channels)
@@ -54,25 +66,23 @@ def test_a_run_ends_in_the_bits_of_the_model_that_was_written(
             played = (str(folder), "--episodes", "2", "--json", str(file))
             assert main([command[0], *played, *command[1:]]) == 0
         assert files[0].read_text() == files[1].read_text()
-    assert main(["map", *tiny_overrides, *of(channels), "--out", str(tmp_path / "m.png")]) == 0
+    assert main(["map", *small, *of(channels), "--out", str(tmp_path / "m.png")]) == 0
     assert "from a file" in capsys.readouterr().out
 
 
 def test_a_changed_file_is_refused_by_resume_and_evaluate(
-    tiny_overrides: tuple[str, ...],
+    small: tuple[str, ...],
     channels: Path,
+    written: tuple[Path, Path],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    folder, other = tmp_path / "run", tmp_path / "other.npz"
-    assert (
-        main(["train", *tiny_overrides, *of(channels), f"run.dir={folder}", "state.every=1"]) == 0
-    )
-    longer = ["train", f"resume={folder}", "train.max_ticks=200"]
+    folder = tmp_path / "run"
+    assert main(["train", *small, *of(channels), f"run.dir={folder}", "state.every=1"]) == 0
+    longer = ["train", f"resume={folder}", "train.max_ticks=40"]
     assert main([*longer]) == 0
-    assert main(["map", *tiny_overrides, N, "--channels", str(other)]) == 0
-    shutil.copy(other, channels)
-    for command in ([*longer[:2], "train.max_ticks=300"], ["evaluate", str(folder)]):
+    shutil.copy(written[1], channels)
+    for command in ([*longer[:2], "train.max_ticks=60"], ["evaluate", str(folder)]):
         capsys.readouterr()
         assert main(command) == 2
         line = error(capsys)
@@ -95,10 +105,11 @@ def test_rooms_with_one_floor_share_a_file_and_others_are_refused(
     assert f"env.channel.file={path}: allowed is a file whose cells_m" in error(capsys)
 
 
-def test_a_sweep_takes_several_files(tiny_overrides: tuple[str, ...], channels: Path) -> None:
-    second = channels.with_name("second.npz")
-    assert main(["map", *tiny_overrides, N, "--channels", str(second)]) == 0
-    several = (*tiny_overrides, *of(channels)[:2], f"env.channel.file='{channels}',{second}")
+def test_a_sweep_takes_several_files(
+    small: tuple[str, ...], channels: Path, written: tuple[Path, Path]
+) -> None:
+    second = written[1]
+    several = (*small, *of(channels)[:2], f"env.channel.file='{channels}',{second}")
     found = [compose(each).env.channel for each in combinations(parse(several, sweep=True))]
     assert [channel.file for channel in found] == [str(channels), str(second)]
     assert len({channel.sha256 for channel in found}) == 2

@@ -20,38 +20,11 @@ from training.run_folder import RunFolder
 Refused = Callable[..., str]
 
 
-@pytest.fixture
-def refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Refused:
-    """Runs a command that must end with status 2 and leave nothing; returns what it said."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> str:
-        before = sorted(tmp_path.rglob("*"))
-        capsys.readouterr()
-        assert main(arguments) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert "Traceback" not in said.err
-        assert sorted(tmp_path.rglob("*")) == before
-        return said.err
-
-    return run
-
-
-def assert_one_sentence(said: str) -> None:
-    assert said.startswith("risfleet: ")
-    assert said.count("\n") == 1, said
-
-
 # --- Commands -------------------------------------------------------------------------------------
 
 
 def test_an_unknown_command_names_those_that_exist(refused: Refused) -> None:
-    said = refused("trian")
-    assert_one_sentence(said)
-    assert "'trian' is no command: there are train, evaluate" in said
+    assert "'trian' is no command: there are train, evaluate" in refused("trian")
 
 
 def test_no_command_shows_the_usage(capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,19 +82,16 @@ def test_a_mistake_in_a_key_value_or_combination_is_one_sentence(
     refused: Refused, mistake: str, parts: list[str]
 ) -> None:
     said = refused("train", mistake)
-    assert_one_sentence(said)
     for part in parts:
         assert part in said
 
 
 def test_several_values_need_a_sweep(refused: Refused) -> None:
-    assert_one_sentence(refused("train", "seed=0,1", "runtime=local"))
+    refused("train", "seed=0,1", "runtime=local")
 
 
 def test_krum_needs_three_robots(refused: Refused) -> None:
-    said = refused("train", "strategy=krum", "env.robots=2")
-    assert_one_sentence(said)
-    assert "env.robots of at least 3, not 2" in said
+    assert "env.robots of at least 3, not 2" in refused("train", "strategy=krum", "env.robots=2")
 
 
 def test_more_clients_than_flowers_engine_runs_are_refused(
@@ -129,7 +99,6 @@ def test_more_clients_than_flowers_engine_runs_are_refused(
 ) -> None:
     monkeypatch.setattr("training.engine_limits.os.cpu_count", lambda: 1)
     said = refused("train", "env.robots=6", "federation.clients=6")
-    assert_one_sentence(said)
     assert "federation.clients=6" in said
     assert "at most 5" in said
 
@@ -137,9 +106,7 @@ def test_more_clients_than_flowers_engine_runs_are_refused(
 def test_a_port_in_use_is_found_before_anything_starts(refused: Refused) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        said = refused("train", f"federation.link.port={port}")
-    assert_one_sentence(said)
-    assert f"federation.link.port={port}" in said
+        assert f"federation.link.port={port}" in refused("train", f"federation.link.port={port}")
 
 
 @pytest.mark.parametrize("kind", ["full folder", "file", "below a file"])
@@ -152,7 +119,6 @@ def test_a_run_folder_in_use_is_left_as_it_is(refused: Refused, tmp_path: Path, 
         folder.write_text("mine")
     given = folder / "below" if kind == "below a file" else folder
     said = refused("train", "runtime=local", f"run.dir={given}")
-    assert_one_sentence(said)
     assert f"run.dir={given}" in said
     assert "allowed is a folder that" in said
 
@@ -171,7 +137,7 @@ def test_cfg_prints_the_whole_configuration_as_yaml(
 
 
 def test_cfg_finds_mistakes_too(refused: Refused) -> None:
-    assert_one_sentence(refused("train", "--cfg", "env.robots=0"))
+    refused("train", "--cfg", "env.robots=0")
 
 
 # --- Evaluating a run -----------------------------------------------------------------------------
@@ -215,9 +181,7 @@ def copied(tiny_run: Path, tmp_path: Path) -> Path:
 
 
 def test_evaluate_refuses_a_folder_that_is_no_run(refused: Refused, tmp_path: Path) -> None:
-    said = refused("evaluate", str(tmp_path / "nothing"))
-    assert_one_sentence(said)
-    assert "is no run folder" in said
+    assert "is no run folder" in refused("evaluate", str(tmp_path / "nothing"))
 
 
 @pytest.mark.parametrize("text", ["a: [", "seed: nine\n", "nonsense: 1\n", "\x00\x01"])
@@ -225,12 +189,12 @@ def test_evaluate_refuses_a_damaged_configuration(
     refused: Refused, copied: Path, text: str
 ) -> None:
     (copied / "config.yaml").write_text(text)
-    assert_one_sentence(refused("evaluate", str(copied)))
+    refused("evaluate", str(copied))
 
 
 def test_evaluate_refuses_a_configuration_that_is_no_text(refused: Refused, copied: Path) -> None:
     (copied / "config.yaml").write_bytes(b"\xff\xfe\xfa")
-    assert_one_sentence(refused("evaluate", str(copied)))
+    refused("evaluate", str(copied))
 
 
 def test_evaluate_reads_a_configuration_that_another_editor_saved(copied: Path) -> None:
@@ -244,15 +208,12 @@ def test_evaluate_says_that_a_configuration_is_in_utf_16(refused: Refused, copie
     text = (copied / "config.yaml").read_text(encoding="utf-8")
     (copied / "config.yaml").write_text(text, encoding="utf-16")
     said = refused("evaluate", str(copied))
-    assert_one_sentence(said)
     assert "config.yaml cannot be read: it is in UTF-16: save it as UTF-8." in said
 
 
 def test_evaluate_refuses_missing_weights(refused: Refused, copied: Path) -> None:
     (copied / "weights.safetensors").unlink()
-    said = refused("evaluate", str(copied))
-    assert_one_sentence(said)
-    assert "weights.safetensors is missing: has the run ended?" in said
+    assert "weights.safetensors is missing: has the run ended?" in refused("evaluate", str(copied))
 
 
 @pytest.mark.parametrize("keep", [0, 20, 500])
@@ -261,18 +222,14 @@ def test_evaluate_refuses_weights_that_are_cut_short(
 ) -> None:
     path = copied / "weights.safetensors"
     path.write_bytes(path.read_bytes()[:keep])
-    said = refused("evaluate", str(copied))
-    assert_one_sentence(said)
-    assert "is damaged" in said
+    assert "is damaged" in refused("evaluate", str(copied))
 
 
 def test_evaluate_refuses_weights_of_another_size(refused: Refused, copied: Path) -> None:
     text = (copied / "config.yaml").read_text()
     assert "  - 13\n" in text
     (copied / "config.yaml").write_text(text.replace("  - 13\n", "  - 14\n"))
-    said = refused("evaluate", str(copied))
-    assert_one_sentence(said)
-    assert "where config.yaml says (3, 2, " in said
+    assert "where config.yaml says (3, 2, " in refused("evaluate", str(copied))
 
 
 def test_evaluate_refuses_a_place_for_json_that_is_not_there(
@@ -280,16 +237,13 @@ def test_evaluate_refuses_a_place_for_json_that_is_not_there(
 ) -> None:
     for place in (tmp_path / "missing" / "a.json", tmp_path):
         said = refused("evaluate", str(copied), "--json", str(place))
-        assert_one_sentence(said)
         assert f"--json {place}: allowed is a file" in said
 
 
 def test_evaluate_refuses_a_folder_in_place_of_weights(refused: Refused, copied: Path) -> None:
     (copied / "weights.safetensors").unlink()
     (copied / "weights.safetensors").mkdir()
-    said = refused("evaluate", str(copied))
-    assert_one_sentence(said)
-    assert "weights.safetensors" in said
+    assert "weights.safetensors" in refused("evaluate", str(copied))
 
 
 def test_another_seed_plays_other_starts(tiny_run: Path, tmp_path: Path) -> None:
@@ -339,16 +293,14 @@ def test_status_shows_why_a_run_failed(copied: Path, capsys: pytest.CaptureFixtu
 
 
 def test_status_of_a_folder_without_a_run_is_one_sentence(refused: Refused, tmp_path: Path) -> None:
-    said = refused("status", str(tmp_path))
-    assert_one_sentence(said)
-    assert "holds no run" in said
-    assert_one_sentence(refused("status"))
+    assert "holds no run" in refused("status", str(tmp_path))
+    refused("status")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "7"])
 def test_status_of_a_damaged_run_is_one_sentence(refused: Refused, copied: Path, text: str) -> None:
     (copied / "progress.json").write_text(text)
-    assert_one_sentence(refused("status", str(copied)))
+    refused("status", str(copied))
 
 
 def test_status_of_a_run_that_says_nothing_is_unknown(

@@ -7,13 +7,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from experiments.flower import RunState, SimulationSuperLink, Status, control, guard, superlink
+from experiments.flower import control, guard, superlink
+from experiments.flower.control import RunState, Status
+from experiments.flower.engine import SimulationSuperLink
 from experiments.flower.guard import Guard
 from experiments.flower.session import Session
 from repeatable.processes import MARKER, identify
@@ -38,14 +40,6 @@ def kill(watched: Guard) -> int:
     os.kill(process.pid, signal.SIGKILL)
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     return process.pid
-
-
-@pytest.fixture
-def session() -> Iterator[Session]:
-    """A session that is stopped at the end."""
-    made = Session()
-    yield made
-    made.stop()
 
 
 def test_a_session_whose_watchdog_died_starts_processes_and_stops(session: Session) -> None:

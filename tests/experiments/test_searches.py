@@ -11,8 +11,8 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from train_helpers import SMALL, summary
 
+from experiments.batch import search
 from experiments.cli import main
-from experiments.commands import search
 from experiments.runtimes.stopping import StopSignals
 from training.run_folder import RunFolder
 
@@ -104,7 +104,7 @@ def test_a_run_that_does_not_end_ends_the_search(
     if how == "signal":
         stop = StopSignals([], Console())
         stop.number = signal.SIGINT
-        monkeypatch.setattr(search, "train_missing", lambda config, screen: stop)
+        monkeypatch.setattr(search, "train_missing", lambda config: stop)
     else:
         values = "env.power.levels=choice(1,1)"  # two robots need two levels
     assert main(["train", "-m", *OPTUNA, *SMALL, values]) == (130 if how == "signal" else 2)

@@ -15,8 +15,9 @@ from train_helpers import ENDLESS, PATIENCE_S, SMALL, Start, is_training, summar
 
 from conf import Config, from_yaml
 from experiments.cli import main
-from experiments.flower import FlowerError
+from experiments.flower.environment import FlowerError
 from experiments.runtimes import local, runner
+from experiments.runtimes.folders import run_lock
 from training.run_folder import RunFolder
 
 JOBLIB = "hydra/launcher=joblib"
@@ -27,17 +28,30 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_a_sweep_runs_every_combination(tmp_path: Path) -> None:
-    assert main(["train", "-m", *SMALL, "seed=3,4", "run.dir=sweep"]) == 0
-    found = [summary(tmp_path / "sweep" / str(job)) for job in range(2)]
-    assert [run["seed"] for run in found] == [3, 4]
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a sweep over seeds 0 and 1 that has ended; not to be written to."""
+    folder: Path = tmp_path_factory.mktemp("ended") / "sweep"
+    assert main(["train", "-m", *SMALL, "seed=0,1", f"run.dir={folder}"]) == 0
+    return folder
+
+
+@pytest.fixture
+def sweep(ended: Path, tmp_path: Path) -> Path:
+    """A copy of it in the working folder."""
+    return shutil.copytree(ended, tmp_path / "sweep")
+
+
+AGAIN = ("train", "-m", *SMALL, "seed=0,1", "run.dir=sweep")
+"""The command of that sweep, once more."""
+
+
+def test_a_sweep_runs_every_combination_as_single_runs(ended: Path, tmp_path: Path) -> None:
+    found = [summary(ended / str(job)) for job in range(2)]
+    assert [run["seed"] for run in found] == [0, 1]
     assert found[0]["digest"] != found[1]["digest"]
-
-
-def test_a_sweep_gives_what_single_runs_give(tmp_path: Path) -> None:
-    assert main(["train", "-m", *SMALL, "strategy=none,fedavg", "run.dir=sweep"]) == 0
-    assert main(["train", *SMALL, "strategy=fedavg", "run.dir=single"]) == 0
-    assert summary(tmp_path / "sweep" / "1")["digest"] == summary(tmp_path / "single")["digest"]
+    assert main(["train", *SMALL, "seed=1", "run.dir=single"]) == 0
+    assert found[1]["digest"] == summary(tmp_path / "single")["digest"]
 
 
 def test_a_sweep_over_floor_plans_gives_what_single_runs_give(tmp_path: Path) -> None:
@@ -81,11 +95,9 @@ def test_a_sweep_leaves_a_folder_in_use_as_it_is(
 ) -> None:
     (tmp_path / "sweep").mkdir()
     (tmp_path / "sweep" / "notes.txt").write_text("mine")
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 2
-    assert (
-        "/sweep: allowed is a folder that is new or empty, or of this sweep"
-        in capsys.readouterr().err
-    )
+    assert main([*AGAIN]) == 2
+    said = "/sweep: allowed is a folder that is new or empty, or of this sweep"
+    assert said in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "sweep").iterdir()] == ["notes.txt"]
 
 
@@ -98,7 +110,7 @@ def test_a_run_that_fails_leaves_the_rest_of_a_sweep_to_go_on(
         return local.train(config, folder)
 
     monkeypatch.setitem(runner.RUNTIMES, "local", fail_once)
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 1
+    assert main([*AGAIN]) == 1
     assert capsys.readouterr().err == "risfleet: Port 1 is in use.\n"
     assert summary(tmp_path / "sweep" / "1")["seed"] == 1
 
@@ -109,7 +121,7 @@ def test_ctrl_c_ends_a_whole_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         return local.train(config, folder)
 
     monkeypatch.setitem(runner.RUNTIMES, "local", interrupted)
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 130
+    assert main([*AGAIN]) == 130
     assert summary(tmp_path / "sweep" / "0")["stopped_early"]
     assert not (tmp_path / "sweep" / "1").exists()
 
@@ -124,41 +136,38 @@ def written_at(sweep: Path) -> dict[str, int]:
 
 @pytest.mark.parametrize("form", ["run.dir='{}'", 'run.dir="{}"', "++run.dir={}", "run.dir={}"])
 def test_runs_that_have_ended_are_never_overwritten(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str
+    sweep: Path, capsys: pytest.CaptureFixture[str], form: str
 ) -> None:
-    sweep = tmp_path / "my sweep, größer"
-    where = form.format(sweep)
-    assert main(["train", "-m", *SMALL, "seed=0,1", where]) == 0
+    sweep = sweep.rename(sweep.with_name("my sweep, größer"))
     before = written_at(sweep)
-    assert list(before) == ["0", "1"]
-    capsys.readouterr()
-    assert main(["train", "-m", *SMALL, "seed=7,8", where]) == 2
+    assert sorted(before) == ["0", "1"]
+    assert main(["train", "-m", *SMALL, "seed=7,8", form.format(sweep)]) == 2
     assert "allowed is a folder that is new, empty or of this run" in capsys.readouterr().err
     assert written_at(sweep) == before
 
 
 def test_the_same_sweep_again_trains_what_is_missing_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    sweep: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 0
-    before = written_at(tmp_path / "sweep")
-    capsys.readouterr()
+    before = written_at(sweep)
     assert main(["train", "-m", *SMALL, "seed=0,1,2", "run.dir=sweep"]) == 0
     assert capsys.readouterr().out.count("done before") == 2
-    after = written_at(tmp_path / "sweep")
+    after = written_at(sweep)
     assert {name: after[name] for name in before} == before
-    assert summary(tmp_path / "sweep" / "2")["seed"] == 2
+    assert summary(sweep / "2")["seed"] == 2
 
 
 def test_a_run_of_a_sweep_that_was_stopped_goes_on_to_the_same_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ended: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def stopped(config: Config, folder: RunFolder, *rest: Any) -> dict[str, Any]:
         folder.stop_file.touch()
         return local.train(config, folder, *rest)
 
-    small = [*SMALL, "train.max_ticks=40", "state.every=1", "seed=0,1"]
-    assert main(["train", "-m", *small, "run.dir=straight"]) == 0
+    small = [*SMALL, "state.every=1", "seed=0,1"]
     with monkeypatch.context() as patch:
         patch.setitem(runner.RUNTIMES, "local", stopped)
         assert main(["train", "-m", *small, "run.dir=sweep"]) == 0
@@ -167,55 +176,47 @@ def test_a_run_of_a_sweep_that_was_stopped_goes_on_to_the_same_bits(
     assert main(["train", "-m", *small, "run.dir=sweep"]) == 0
     assert capsys.readouterr().out.count("going on from window 1") == 2
     for number in ("0", "1"):
-        found = [summary(tmp_path / each / number)["digest"] for each in ("straight", "sweep")]
-        assert found[0] == found[1]
+        assert summary(tmp_path / "sweep" / number)["digest"] == summary(ended / number)["digest"]
 
 
-def test_a_run_that_never_reached_a_checkpoint_begins_again(tmp_path: Path) -> None:
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 0
-    first = summary(tmp_path / "sweep" / "0")["digest"]
-    for path in sorted((tmp_path / "sweep" / "0").rglob("*"), reverse=True):
+def test_a_run_that_never_reached_a_checkpoint_begins_again(sweep: Path) -> None:
+    first = summary(sweep / "0")["digest"]
+    for path in sorted((sweep / "0").rglob("*"), reverse=True):
         if path.is_file() and path.name != "config.yaml":
             path.unlink()
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 0
-    assert summary(tmp_path / "sweep" / "0")["digest"] == first
+    assert main([*AGAIN]) == 0
+    assert summary(sweep / "0")["digest"] == first
 
 
 def test_a_run_that_is_going_on_elsewhere_is_left_alone(
-    tmp_path: Path, start: Start, capsys: pytest.CaptureFixture[str]
+    sweep: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = tmp_path / "sweep" / "0"
-    process = start(*ENDLESS, "seed=1", f"run.dir={run}", "state.every=100000", cwd=tmp_path)
-    wait_for(process, lambda: is_training(run))
-    sweep = ["train", "-m", *ENDLESS, "seed=1,2", "run.dir=sweep", "state.every=100000"]
-    for launcher in ([], [JOBLIB]):
-        assert main([*sweep, *launcher]) == 2
-        assert "allowed is a folder in which no run is going on" in capsys.readouterr().err
-    assert process.poll() is None
-    assert (run / "metrics.csv").exists()
-    assert not (run / "stop").exists()
+    (sweep / "0" / "summary.json").unlink()
+    before = {path: path.stat().st_mtime_ns for path in sweep.rglob("*")}
+    with run_lock(sweep / "0"):  # as another process holds it
+        for launcher in ([], [JOBLIB]):
+            assert main([*AGAIN, *launcher]) == 2
+            assert "allowed is a folder in which no run is going on" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in sweep.rglob("*")} == before
 
 
 def test_a_run_with_results_and_no_checkpoint_is_not_trained_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    sweep: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 0
-    weights = (tmp_path / "sweep" / "0" / "weights.safetensors").read_bytes()
-    shutil.rmtree(tmp_path / "sweep" / "0" / "state")
-    longer = [*SMALL, "train.max_ticks=40", "seed=0,1", "run.dir=sweep"]
+    weights = (sweep / "0" / "weights.safetensors").read_bytes()
+    shutil.rmtree(sweep / "0" / "state")
     for launcher in ([], [JOBLIB]):
-        assert main(["train", "-m", *longer, *launcher]) == 2
+        assert main([*AGAIN, "train.max_ticks=40", *launcher]) == 2
         assert "a checkpoint to go on from" in capsys.readouterr().err
-    assert (tmp_path / "sweep" / "0" / "weights.safetensors").read_bytes() == weights
+    assert (sweep / "0" / "weights.safetensors").read_bytes() == weights
 
 
 @pytest.mark.parametrize("text", ["{", "{}", "[]", '{"episodes": null, "ticks": 1}'])
 def test_a_damaged_summary_is_said_in_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
+    sweep: Path, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 0
-    (tmp_path / "sweep" / "1" / "summary.json").write_text(text)
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 2
+    (sweep / "1" / "summary.json").write_text(text)
+    assert main([*AGAIN]) == 2
     assert "a folder whose summary.json is whole" in capsys.readouterr().err
 
 
@@ -224,17 +225,16 @@ def test_a_file_in_the_place_of_a_run_is_refused(
 ) -> None:
     (tmp_path / "sweep").mkdir()
     (tmp_path / "sweep" / "0").touch()
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 2
+    assert main([*AGAIN]) == 2
     assert "new or empty, or of this sweep" in capsys.readouterr().err
 
 
 def test_a_damaged_run_of_a_sweep_is_refused_and_kept(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    sweep: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 0
-    weights = tmp_path / "sweep" / "1" / "weights.safetensors"
+    weights = sweep / "1" / "weights.safetensors"
     weights.write_bytes(b"damaged")
-    assert main(["train", "-m", *SMALL, "seed=0,1", "run.dir=sweep"]) == 2
+    assert main([*AGAIN]) == 2
     assert "a folder whose run is whole and of this version" in capsys.readouterr().err
     assert weights.read_bytes() == b"damaged"
 
@@ -252,9 +252,7 @@ def test_one_folder_holds_a_sweep_whatever_its_values(
 @pytest.mark.slow
 def test_a_launcher_takes_any_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sweep = tmp_path / "it's, [my] {sweep} ü=1"
-    assert (
-        main(["train", "-m", "hydra/launcher=joblib", *SMALL, "seed=0,1", f"run.dir={sweep}"]) == 0
-    )
+    assert main(["train", "-m", JOBLIB, *SMALL, "seed=0,1", f"run.dir={sweep}"]) == 0
     assert f"sweep folder: {sweep}" in capsys.readouterr().out
     assert list(written_at(sweep)) == ["0", "1"]
 

@@ -14,7 +14,7 @@ from train_helpers import ENDLESS, PATIENCE_S, SMALL, Start, is_training, summar
 
 from conf import ConfigError, from_yaml
 from experiments.cli import main
-from experiments.flower import FlowerError
+from experiments.flower.environment import FlowerError
 from experiments.runtimes import runner
 from experiments.runtimes.folders import dated
 from storage.checkpoint_files import digest

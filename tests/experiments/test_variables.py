@@ -7,14 +7,17 @@ import os
 import ssl
 import sys
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from experiments.flower import Connection, FlowerError, commands, control, environment, variables
+from experiments.flower import commands, control, environment, variables
+from experiments.flower.connection import Connection
+from experiments.flower.environment import FlowerError
 from experiments.flower.keys import make_keys
 from experiments.flower.session import Session
+
+pytestmark = pytest.mark.usefixtures("swift")
 
 SOCKS = "socks5://127.0.0.1:9"
 LEADS_ELSEWHERE = {
@@ -62,14 +65,6 @@ def desktop(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment of a user who has set everything."""
     for name, value in (LEADS_ELSEWHERE | NEEDED).items():
         monkeypatch.setenv(name, value)
-
-
-@pytest.fixture
-def session() -> Iterator[Session]:
-    """A session that is stopped at the end."""
-    made = Session()
-    yield made
-    made.stop()
 
 
 def seen(session: Session) -> dict[str, str]:

@@ -16,7 +16,7 @@ from experiments.flower.control import is_healthy
 from experiments.flower.environment import HOST, flower_command, free_port
 from experiments.flower.manifest import write_connection
 from experiments.flower.session import Session
-from repeatable.processes import MARKER, Process, identify, members
+from repeatable.processes import MARKER, Process, identify, members, terminate
 
 PATIENCE_S = 300.0
 
@@ -142,6 +142,25 @@ def marker_below(process: subprocess.Popen[str]) -> str:
         if found:
             return found
     return ""
+
+
+@contextmanager
+def watched(process: subprocess.Popen[str]) -> Iterator[Callable[[], str]]:
+    """Tells the marker of the session that a command has started; both are ended in the end."""
+    markers: list[str] = []
+
+    def marker() -> str:
+        markers.append(marker_below(process))
+        assert markers[-1]
+        return markers[-1]
+
+    try:
+        yield marker
+    finally:
+        for each in markers:
+            terminate(each)
+        process.kill()
+        process.communicate()
 
 
 def variable(process: Process, name: str) -> str:

@@ -16,17 +16,17 @@ from flower_helpers import (
     PATIENCE_S,
     commands,
     digests_in_one_process,
-    marker_below,
     own_federation,
     state_of,
     summary,
     wait_until,
+    watched,
     with_changes,
 )
 
 from experiments.cli import main
 from experiments.flower.environment import CONNECTION
-from repeatable.processes import command, members, terminate
+from repeatable.processes import command, members
 from storage.checkpoint_files import checkpoints
 from storage.checkpoint_layout import server_folder
 
@@ -89,10 +89,10 @@ def test_with_abort_a_killed_process_ends_the_run_by_the_robots_name_and_a_resum
     runtime: str,
     role: str,
 ) -> None:
-    folder, marker = tmp_path / "run", ""
-    try:
-        process = begun(folder, f"runtime={runtime}", "federation.on_loss=abort")
-        marker = marker_below(process)
+    folder = tmp_path / "run"
+    process = begun(folder, f"runtime={runtime}", "federation.on_loss=abort")
+    with watched(process) as marker_of:
+        marker = marker_of()
         victim = next(row for row in members(marker) if role in command(row))
         os.kill(victim.pid, signal.SIGKILL)
         _, errors = process.communicate(timeout=PATIENCE_S)
@@ -104,9 +104,6 @@ def test_with_abort_a_killed_process_ends_the_run_by_the_robots_name_and_a_resum
         assert last == f"To go on: risfleet train resume={folder}"
         assert state_of(folder) == "failed"
         assert members(marker) == set()
-    finally:
-        if marker:
-            terminate(marker)
     assert not (folder / "summary.json").exists()
     assert main(["train", f"resume={folder}"]) == 0
     assert summary(folder)["digest"] == expected

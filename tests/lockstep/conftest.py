@@ -47,6 +47,12 @@ class Link:
 
 
 @pytest.fixture
+def in_a_hurry(monkeypatch):
+    """Clients do not wait for a server that has nothing more to say."""
+    monkeypatch.setattr("lockstep.client.LINGER_S", 0.05)
+
+
+@pytest.fixture
 def make_link():
     before = set(threading.enumerate())
     links = []

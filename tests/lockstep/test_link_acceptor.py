@@ -53,7 +53,7 @@ def test_the_client_raises_what_the_server_refuses(link):
     ):
         error = link.client((0,), **changes).join()
         assert isinstance(error, Refused)
-        assert reason in error.reason
+        assert reason in str(error)
 
 
 def test_nobody_gets_in_while_no_round_is_open(link):
@@ -85,8 +85,8 @@ def test_every_robot_needs_a_token(link):
 def test_a_client_that_does_not_come_is_named_at_the_deadline(link):
     link.admit((0,), (1, 3), (2,))
     link.client((0,))
-    with pytest.raises(LinkTimeout, match=r"robots 1, 2, 3 did not connect within 0.5 s"):
-        link.server.wait_connected(0.5)
+    with pytest.raises(LinkTimeout, match=r"robots 1, 2, 3 did not connect within 0.2 s"):
+        link.server.wait_connected(0.2)
 
 
 def test_the_caller_can_end_the_wait(link):
@@ -126,7 +126,7 @@ GARBAGE = [
 
 
 def test_garbage_and_slow_newcomers_disturb_nobody(make_link, caplog):
-    link = make_link(handshake_s=0.5)
+    link = make_link(handshake_s=0.25)
     link.admit((0,), (1, 2))
     slow = [link.raw().send(encode(Hello(1, "v1", [0], ["x"]))[:6]) for _ in range(3)]
     for data in GARBAGE:

@@ -34,7 +34,7 @@ from lockstep.errors import (
     ServerLost,
 )
 from lockstep.frames import decode, encode
-from lockstep.local import LocalFleet
+from lockstep.local import InProcessFleet
 from lockstep.messages import (
     PLAIN,
     UPDATE,
@@ -54,7 +54,7 @@ SCATTERED = [(3, 1), (0,), (2,)]
 
 def local(blocks, fail_at=None, layout=PLAIN):
     handlers = [Recorder(block, fail_at if block == blocks[0] else None) for block in blocks]
-    return handlers, LocalFleet([(handler.block, handler) for handler in handlers], layout)
+    return handlers, InProcessFleet([(handler.block, handler) for handler in handlers], layout)
 
 
 @pytest.mark.parametrize("layout", [PLAIN, Layout(worlds=2), WIDE], ids=["plain", "worlds", "wide"])
@@ -226,7 +226,7 @@ def test_an_unfit_answer_of_a_handler_is_its_own_failure(link, where, answer):
             return answer
 
     if where == "local":
-        fleet = LocalFleet([((0, 1), Unfit((0, 1)))])
+        fleet = InProcessFleet([((0, 1), Unfit((0, 1)))])
     else:
         fleet = link.admit((0, 1))
         client = Client(fleet, Unfit((0, 1)))
@@ -237,20 +237,20 @@ def test_an_unfit_answer_of_a_handler_is_its_own_failure(link, where, answer):
         assert isinstance(client.join(), TypeError | ValueError)
 
 
+def serve_here(address, timeout_s, handler=None):
+    """Serves robot 0, or a handler's, in this thread."""
+    handler = handler or Recorder((0,))
+    tokens = [token(robot) for robot in handler.block]
+    options = {"fingerprint": "v1", "timeout_s": timeout_s, "n_parameters": PARAMETERS}
+    serve(address, handler.block, tokens, handler, **options)
+
+
 def _serve_slowly(address):
     class Slow(Recorder):
         def step(self, step):
             time.sleep(60)
 
-    serve(
-        address,
-        [1],
-        [token(1)],
-        Slow((1,)),
-        fingerprint="v1",
-        timeout_s=60,
-        n_parameters=PARAMETERS,
-    )
+    serve_here(address, 60.0, Slow((1,)))
 
 
 def test_a_killed_client_is_noticed_while_another_is_awaited_and_named(link):
@@ -353,7 +353,7 @@ def test_a_frame_that_nobody_asked_for_loses_the_robot(link):
 
 
 def test_a_silent_robot_is_named_at_the_deadline(make_link):
-    link = make_link(timeout_s=0.3)
+    link = make_link(timeout_s=0.2)
     link.admit((0, 2), (1,))
     silent, other = link.raw().hello((0, 2)), link.client((1,))
     link.server.wait_connected(PATIENCE_S)
@@ -415,40 +415,19 @@ def test_the_client_takes_nothing_out_of_turn_from_the_server(frames, error):
     thread = threading.Thread(target=play)
     thread.start()
     with pytest.raises(error):
-        serve(
-            listener.getsockname(),
-            [0],
-            ["t"],
-            Recorder((0,)),
-            fingerprint="v1",
-            timeout_s=PATIENCE_S,
-            n_parameters=PARAMETERS,
-        )
+        serve_here(listener.getsockname(), PATIENCE_S)
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
 
 
 @pytest.mark.parametrize("silent", ["before", "after"])
-def test_the_client_does_not_wait_for_ever(make_link, silent):
-    link = make_link()
+@pytest.mark.usefixtures("in_a_hurry")
+def test_the_client_does_not_wait_for_ever(link, silent):
     link.admit((0,))
-    if silent == "before":
-        listener = socket.create_server(("127.0.0.1", 0))
-        address = listener.getsockname()
-    else:
-        listener, address = None, link.server.address
-    with pytest.raises(LinkTimeout, match="no word from the server"):
-        serve(
-            address,
-            [0],
-            [token(0)],
-            Recorder((0,)),
-            fingerprint="v1",
-            timeout_s=0.3,
-            n_parameters=PARAMETERS,
-        )
-    if listener is not None:
-        listener.close()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        address = listener.getsockname() if silent == "before" else link.server.address
+        with pytest.raises(LinkTimeout, match=r"no word from the server for 0\.2 s"):
+            serve_here(address, timeout_s=0.2)
 
 
 def test_the_client_waits_for_a_server_that_is_late():
@@ -456,7 +435,7 @@ def test_the_client_waits_for_a_server_that_is_late():
         address = free.getsockname()
 
     client = Client(SimpleNamespace(address=address), Recorder((0,)), fingerprint="v1")
-    time.sleep(0.3)
+    time.sleep(0.1)
     server = LinkServer(*address, fingerprint="v1", timeout_s=PATIENCE_S)
     server.admit([(0,)], {0: token(0)}, SHAPE)
     server.wait_connected(PATIENCE_S)
@@ -469,15 +448,7 @@ def test_without_a_server_the_client_gives_up():
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = free.getsockname()
     with pytest.raises(ServerLost, match=r"no connection to 127.0.0.1"):
-        serve(
-            address,
-            [0],
-            ["t"],
-            Recorder((0,)),
-            fingerprint="v1",
-            timeout_s=0.2,
-            n_parameters=PARAMETERS,
-        )
+        serve_here(address, timeout_s=0.1)
 
 
 @pytest.mark.parametrize("where", ["local", "tcp"])
@@ -536,7 +507,7 @@ def test_wrong_arrays_are_refused_before_anything_is_sent(link, where):
 @pytest.mark.parametrize("blocks", [[], [(0,), ()], [(0,), (0,)], [(1,)], [(0,), (2,)], [(-1, 0)]])
 def test_blocks_must_deal_every_robot_once(link, blocks):
     with pytest.raises(ValueError, match="each robot from 0 to K-1 once"):
-        LocalFleet([(block, Recorder(block)) for block in blocks])
+        InProcessFleet([(block, Recorder(block)) for block in blocks])
     with pytest.raises(ValueError, match="each robot from 0 to K-1 once"):
         link.admit(*blocks)
 

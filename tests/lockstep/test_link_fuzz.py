@@ -42,7 +42,7 @@ from lockstep.acceptor import MAX_PENDING
 from lockstep.errors import FrameError, LinkError, LinkTimeout, RobotFailed, RobotLost
 from lockstep.frame_stream import FrameStream
 from lockstep.frames import decode, encode
-from lockstep.local import LocalFleet
+from lockstep.local import InProcessFleet
 from lockstep.messages import PLAIN, VERSION, Actions, Expect, Hello, Weights, Welcome
 from lockstep.server import LinkServer
 from lockstep.tls import client_context, server_context
@@ -51,7 +51,7 @@ from server_app.certificates import run_certificate
 
 BLOCKS = ((0,), (1, 2))
 TOKENS = {robot: token(robot) for block in BLOCKS for robot in block}
-run_often = settings(max_examples=40)
+run_often = settings(max_examples=25)
 
 
 # --- The parser -----------------------------------------------------------------------------------
@@ -113,7 +113,7 @@ def test_a_stream_gives_whole_frames_however_they_are_cut(sent, rest, data):
 
 def reference(blocks):
     """What an undisturbed run hears."""
-    return drive(LocalFleet([(block, Recorder(block)) for block in blocks]), 3)
+    return drive(InProcessFleet([(block, Recorder(block)) for block in blocks]), 3)
 
 
 UNDISTURBED = [array.tobytes() for array in reference(BLOCKS)]
@@ -242,7 +242,7 @@ def test_frames_may_come_byte_by_byte(make_link):
 
 
 def test_who_drips_does_not_move_the_deadline(make_link):
-    link = make_link(timeout_s=0.5)
+    link = make_link(timeout_s=0.3)
     link.admit((0,))
     raw = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
@@ -257,7 +257,7 @@ def test_who_drips_does_not_move_the_deadline(make_link):
 
     dripping = threading.Thread(target=drip)
     dripping.start()
-    with pytest.raises(LinkTimeout, match=r"robot 0 did not answer within 0\.5 s"):
+    with pytest.raises(LinkTimeout, match=r"robot 0 did not answer within 0\.3 s"):
         link.server.upload(1)
     assert dripping.is_alive()
     ended.set()
@@ -270,8 +270,6 @@ FLOODS = {
     "garbage": b"x" * 200,
     "a frame without an end": b"RISF" * 30_000,
     "wrong token": Hello(VERSION, "v1", [0], ["wrong"]),
-    "another robot's token": Hello(VERSION, "v1", [0], [token(1)]),
-    "robots of two clients": Hello(VERSION, "v1", [0, 1, 2], list(TOKENS.values())),
 }
 
 
@@ -395,6 +393,7 @@ def test_whatever_a_server_says_the_client_ends_with_an_error_of_the_link(sound,
     [encode(Welcome()), b"x" * 4096, encode(Weights(1, np.zeros((2, PARAMETERS), np.float32)))],
     ids=["welcomes", "garbage", "weights"],
 )
+@pytest.mark.usefixtures("in_a_hurry")
 def test_a_client_leaves_a_server_that_talks_for_ever(endless):
     assert isinstance(HostileServer(encode(Welcome()), endless * 50).meet(), FrameError)
 

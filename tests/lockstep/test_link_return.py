@@ -38,10 +38,10 @@ def test_all_are_sent_to_a_window_and_go_on_from_there(link, model):
 def test_it_is_the_same_in_one_process(link):
     from link_helpers import Recorder
 
-    from lockstep.local import LocalFleet
+    from lockstep.local import InProcessFleet
 
     handlers = [Recorder((0,)), Recorder((1,))]
-    fleet = LocalFleet([((0,), handlers[0]), ((1,), handlers[1])])
+    fleet = InProcessFleet([((0,), handlers[0]), ((1,), handlers[1])])
     fleet.begin(4, MODEL)
     assert [begun(handler) for handler in handlers] == [[("begin", 4, MODEL.tobytes())]] * 2
     assert drive(fleet, 2)
@@ -106,7 +106,7 @@ def test_answers_from_before_are_dropped_and_never_taken_for_new_ones(link):
 
 
 def test_the_ready_of_an_earlier_beginning_does_not_count(make_link):
-    link = make_link(timeout_s=0.5)
+    link = make_link(timeout_s=0.2)
     link.admit((0,))
     raw = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)
@@ -177,7 +177,7 @@ def test_a_successors_tokens_shut_the_one_before_out(link):
 
 
 def test_whoever_did_not_answer_in_time_is_out_and_may_come_back(make_link):
-    link = make_link(timeout_s=0.3)
+    link = make_link(timeout_s=0.2)
     link.admit((0,))
     silent = link.raw().hello((0,))
     link.server.wait_connected(PATIENCE_S)

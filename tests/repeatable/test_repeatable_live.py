@@ -74,7 +74,7 @@ def test_kills_are_struck_in_order_until_the_run_has_ended(
     said: list[str] = []
     live = partial(FakeRun, may_end=lambda: len(said) == 2)
     monkeypatch.setattr(kills.Task, "live", lambda task, folder: live(folder))
-    monkeypatch.setattr(kills, "_ASK_S", 0.1)
+    monkeypatch.setattr(kills, "_ASK_S", 0.05)
     due = [kills.Kill(1, 0.0), kills.Kill(2, 0.01)]
     deck = Deck(["ServerApp"], random.Random(0))
     ending = kills.play(kills.Task(EXAMPLE, CLIENTS), tmp_path, due, deck, said.append)
@@ -93,7 +93,7 @@ def test_the_command_compares_runs_with_and_without_kills(
         return runs[-1]
 
     monkeypatch.setattr(kills.Task, "live", live)
-    monkeypatch.setattr(kills, "_ASK_S", 0.1)
+    monkeypatch.setattr(kills, "_ASK_S", 0.05)
     arguments = [str(EXAMPLE), "--clients", "5", "--kills", "3", "--seed", "4"]
     assert main(["kill", *arguments, "--roles", "ServerApp"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -177,6 +177,7 @@ def test_a_run_that_stands_still_undisturbed_is_an_error(
 ) -> None:
     monkeypatch.setattr(kills.Task, "live", lambda task, folder: FakeRun(folder))
     monkeypatch.setattr(kills, "_STEADY_S", 0.0)
+    monkeypatch.setattr(kills, "_ASK_S", 0.05)
     with pytest.raises(LiveError, match="undisturbed, the run ended as standing still after"):
         kills.play(kills.Task(EXAMPLE, CLIENTS), tmp_path)
 

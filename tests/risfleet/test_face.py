@@ -18,6 +18,7 @@ import pytest
 
 import risfleet
 from experiments.cli import main
+from experiments.console import display
 from experiments.runtimes import local, runner
 from training.run_folder import RunFolder
 
@@ -28,6 +29,7 @@ ENDLESS = ("train.max_ticks=null", "train.episodes=100000000")
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(display, "POLL_S", 0.02)
 
 
 @pytest.fixture
@@ -72,8 +74,11 @@ def test_the_module_is_the_command() -> None:
 # --- Training -------------------------------------------------------------------------------------
 
 
-def test_it_trains_what_the_command_trains(tiny_list: list[str]) -> None:
+def test_it_trains_what_the_command_trains(
+    tiny_list: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     run = risfleet.train([*tiny_list, "run.dir=mine"], progress=False)
+    assert capsys.readouterr() == ("", "")
     assert main(["train", *tiny_list, "run.dir=theirs"]) == 0
     other = risfleet.load("theirs")
     assert run.summary["digest"] == other.summary["digest"]
@@ -123,10 +128,9 @@ def test_it_trains_in_a_thread_and_beside_a_running_loop(tiny_list: list[str]) -
     assert found["thread"]["digest"] == found["loop"]["digest"]
 
 
-def test_progress_is_silence_a_function_or_what_the_command_shows(
+def test_progress_is_told_to_a_function_or_shown_as_by_the_command(
     tiny_list: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    risfleet.train([*tiny_list, "run.dir=silent"], progress=False)
     told: list[dict[str, Any]] = []
     risfleet.train([*tiny_list, "run.dir=told"], progress=told.append)
     assert capsys.readouterr() == ("", "")

@@ -15,17 +15,16 @@ from flwr.serverapp import Grid
 
 from client_app import app as client
 from conf import Config
-from experiments.runtimes import local
 from server_app import buildings
-from server_app.buildings import MOST_FAILURES, FlowerRooms, train_building
-from server_app.nodes import RoundError
+from server_app.buildings import FlowerRooms, train_building
+from server_app.nodes import MOST_FAILURES, RoundError
 from storage.checkpoint_layout import node_folder, room_folder
 from training.checkpoint import latest
 from training.room_messages import ROOMS, read_asked
 from training.rooms import RoomsLostError
 from training.run_folder import RunFolder
 
-pytestmark = pytest.mark.usefixtures("hurried_flower")
+pytestmark = pytest.mark.usefixtures("hurried_flower", "leaves_no_thread")
 
 Building = Callable[..., Config]
 RUN = "0123456789abcdef"
@@ -78,17 +77,6 @@ def run(config: Config, grid: FakeGrid, *, resumes: bool = False) -> dict[str, A
     train_building(cast(Grid, grid), config, folder, resumed)
     found: dict[str, Any] = json.loads(folder.summary_file.read_text())
     return found
-
-
-@pytest.fixture
-def digests(tmp_path: Path) -> Callable[[Config], dict[str, str]]:
-    """The digests of a building in one process, to which nothing happens."""
-
-    def make(config: Config) -> dict[str, str]:
-        found: dict[str, str] = local.train(config, RunFolder(tmp_path / "whole"))["digest"]
-        return found
-
-    return make
 
 
 def number_of(message: Message) -> int:

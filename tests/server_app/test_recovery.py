@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,9 +27,28 @@ pytestmark = pytest.mark.usefixtures("hurried_flower")
 
 Tiny = Callable[..., Config]
 RUN = "0123456789abcdef"
+PATIENCE_S = 60.0
 
 KILLED = ServerLost("killed")  # the one kind of error of which the server is not told
 CUT = Disconnected("the cable is cut")
+
+
+class MovingGrid(FakeGrid):
+    """A grid whose nodes may leave, and be back once the server has looked a few times."""
+
+    looks_away = 0
+
+    def leave_for_a_while(self, node: int) -> None:
+        self.all_nodes, self.looks_away = list(self.nodes), 4
+        self.nodes.remove(node)
+
+    def get_node_ids(self) -> Iterable[int]:
+        there = list(super().get_node_ids())
+        if self.looks_away:
+            self.looks_away -= 1
+            if not self.looks_away:
+                self.nodes[:] = self.all_nodes
+        return there
 
 
 # --- The same bits --------------------------------------------------------------------------------
@@ -131,21 +149,25 @@ def test_a_reply_that_comes_after_the_round_was_given_up_is_not_taken_for_the_ne
 ) -> None:
     config = deployed({"federation.windows_per_round": 3})
     expected = digests(config)
-    dead: list[int] = []
+    grid = FakeGrid(3)
 
     def dies_once(message: Message, context: Context) -> Message:
         reply = train(message, context)
-        if not dead:
-            dead.append(1)
+        if len(grid.sent) == 3:
             raise MemoryError("killed before its reply")
         return reply
 
     def late(message: Message, context: Context) -> Message:
         reply = train(message, context)
-        time.sleep(1.0)
+        end = time.monotonic() + PATIENCE_S
+        while len(grid.sent) == 3 and time.monotonic() < end:  # until the next round has begun
+            time.sleep(0.01)
+        if message.metadata.group_id == "2":  # in which the others' replies come first
+            time.sleep(0.5)
         return reply
 
-    assert run(config, FakeGrid(3, {1: dies_once, 2: late}))["digest"] == expected
+    grid.clients = {1: dies_once, 2: late}
+    assert run(config, grid)["digest"] == expected
 
 
 def test_a_client_that_fails_before_it_has_joined_is_started_again(
@@ -200,13 +222,12 @@ def test_a_node_that_goes_between_rounds_is_waited_for(
     """Its message is not taken until it is back."""
     config = deployed({"federation.windows_per_round": 3})
     expected = digests(config)
-    grid = FakeGrid(3)
+    grid = MovingGrid(3)
 
     def leaves_once(message: Message, context: Context) -> Message:
         reply = train(message, context)
         if len(grid.sent) == 3:
-            grid.nodes = [100, 102]
-            threading.Timer(1.0, lambda: setattr(grid, "nodes", [100, 101, 102])).start()
+            grid.leave_for_a_while(101)
             raise OSError("stopped before its reply")
         return reply
 
@@ -220,15 +241,14 @@ def test_a_node_that_comes_back_under_its_number_is_asked_again(
     """A SuperNode with a key is the same node when it is started again, and has forgotten all."""
     config = deployed()
     expected = digests(config)
-    grid = FakeGrid(3)
+    grid = MovingGrid(3)
     at_tick(52, 1, KILLED)
 
     def dies_with_its_node(message: Message, context: Context) -> Message | None:
         try:
             return train(message, context)
         except ServerLost:
-            grid.nodes = [100, 102]
-            threading.Timer(1.0, lambda: setattr(grid, "nodes", [100, 101, 102])).start()
+            grid.leave_for_a_while(101)
             return None
 
     grid.clients = {1: dies_with_its_node}
@@ -309,7 +329,7 @@ def test_without_waiting_a_loss_ends_the_run_by_name(
 def test_a_robot_that_does_not_come_back_is_named_at_the_deadline(
     deployed: Tiny, run: Any, at_tick: Any
 ) -> None:
-    config = deployed({"federation.loss_timeout_s": 1.0})
+    config = deployed({"federation.loss_timeout_s": 0.3})
     at_tick(33, 2, KILLED)
     grid = FakeGrid(3)
 

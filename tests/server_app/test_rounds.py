@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, cast
@@ -10,20 +9,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from fake_grid import FakeGrid
-from flwr.app import (
-    Array,
-    ArrayRecord,
-    Context,
-    Message,
-    MetricRecord,
-    RecordDict,
-)
+from flwr.app import Array, ArrayRecord, Context, Message, MetricRecord, RecordDict
 from flwr.serverapp import Grid
-from flwr.supercore.task_identity import TaskIdentity
 
 from client_app.app import RoundConfig, train
+from client_app.robots import RobotGroup
 from client_app.state import CheckpointedRobots
-from conf import Config, robot_network
+from conf import Config, fingerprint, from_yaml, robot_network, to_yaml
 from env.seeding import Stream, stream
 from lockstep import LinkError, LinkServer, RobotLost, serve
 from server_app.clients import Clients
@@ -31,6 +23,8 @@ from server_app.nodes import RoundError, wait_for_nodes
 from server_app.rounds import FlowerFleet
 from storage.checkpoint_layout import robot_windows, round_folder
 from training.partition import partition_robots
+
+pytestmark = pytest.mark.usefixtures("hurried_flower")
 
 Tiny = Callable[..., Config]
 Play = Callable[..., Any]
@@ -42,29 +36,17 @@ RATES = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _within_a_flower_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_task_id", "_run_id", "_node_id"):
-        monkeypatch.setattr(TaskIdentity, name, 1)
-
-
 @pytest.fixture
-def open_link() -> Iterator[Callable[[], LinkServer]]:
-    from conf import fingerprint
-
-    before = set(threading.enumerate())
+def open_link(leaves_no_thread: None) -> Iterator[Callable[[], LinkServer]]:
     opened: list[LinkServer] = []
 
-    def make(timeout_s: float = 20.0) -> LinkServer:
-        opened.append(LinkServer("127.0.0.1", 0, fingerprint=fingerprint(), timeout_s=timeout_s))
+    def make() -> LinkServer:
+        opened.append(LinkServer(fingerprint=fingerprint(), timeout_s=20.0))
         return opened[-1]
 
     yield make
     for link in opened:
         link.close()
-    for thread in set(threading.enumerate()) - before:
-        thread.join(PATIENCE_S)
-        assert not thread.is_alive()
 
 
 @pytest.fixture
@@ -74,6 +56,7 @@ def make_fleet(
     def make(config: Config, grid: FakeGrid) -> FlowerFleet:
         initial = robot_network(config).initial_pair(stream(config.seed, Stream.WEIGHTS))
         nodes = wait_for_nodes(cast(Grid, grid), len(grid.nodes), 1.0)
+        from_yaml(to_yaml(config))  # all clients read it, and find it read
         link = open_link()
         fleet = FlowerFleet(config, link, Clients(config, cast(Grid, grid), link, nodes))
         fleet.begin(0, initial)
@@ -269,27 +252,33 @@ def test_a_client_that_fails_at_its_start_is_named_with_its_reason(
     with pytest.raises(
         RoundError, match=r"round 1: the Flower client of robots 0, 1 failed: OSError: no space"
     ):
-        play(config, fleet=make_fleet(config, FakeGrid(2, {0: broken})))
+        play(config, fleet=make_fleet(config, FakeGrid(2, {0: broken, 1: silent})))
 
 
 def test_a_client_that_never_connects_is_named_at_the_deadline(
     on_flower: Tiny, make_fleet: Callable[..., FlowerFleet], play: Play
 ) -> None:
-    config = on_flower({"runtime.start_timeout_s": 3.0})
-    with pytest.raises(RoundError, match=r"round 1: .*robot 2.*does the federation run 2"):
+    config = on_flower({"runtime.start_timeout_s": 1.0})
+    with pytest.raises(RoundError, match=r"round 1: robot 2 did.*does the federation run 2"):
         play(config, fleet=make_fleet(config, FakeGrid(2, {1: silent})))
 
 
 def test_a_client_that_serves_and_never_replies_is_named_at_the_deadline(
     on_flower: Tiny, make_fleet: Callable[..., FlowerFleet], play: Play
 ) -> None:
-    config = on_flower({"runtime.start_timeout_s": 3.0, "train.max_ticks": 20})
+    config = on_flower({"train.max_ticks": 20})
 
     def mute(message: Message, context: Context) -> None:
         train(message, context)
 
+    fleet = make_fleet(config, FakeGrid(2, {0: mute}))
+
+    def all_are_there() -> bool:
+        fleet._config = on_flower({"runtime.start_timeout_s": 0.3})
+        return False
+
     with pytest.raises(RoundError, match="round 1: no reply from robots 0, 1"):
-        play(config, fleet=make_fleet(config, FakeGrid(2, {0: mute})))
+        play(config, fleet=fleet, stop=all_are_there)
 
 
 @pytest.mark.parametrize("kind", ["shape", "type"])
@@ -314,8 +303,6 @@ def test_weights_of_a_wrong_shape_or_type_are_refused_by_name(
 def test_a_client_that_breaks_off_in_the_middle_is_named(
     on_flower: Tiny, make_fleet: Callable[..., FlowerFleet], play: Play, monkeypatch: Any
 ) -> None:
-    from client_app.robots import RobotGroup
-
     step = RobotGroup.step
 
     def failing(self: RobotGroup, told: Any) -> Any:
@@ -368,7 +355,7 @@ def test_a_client_whose_process_died_before_it_joined_is_a_lost_robot_and_said_i
 
     config = on_flower()
     with pytest.raises(RobotLost) as lost:
-        play(config, fleet=make_fleet(config, FakeGrid(2, {0: killed})))
+        play(config, fleet=make_fleet(config, FakeGrid(2, {0: killed, 1: silent})))
     assert str(lost.value) == (
         "robots 0, 1 lost in round 1, which began after window 0: its process died without a word"
     )

@@ -16,7 +16,6 @@ from fake_grid import FakeGrid
 from client_app.robots import RobotGroup
 from conf import Config
 from experiments.cli import main
-from experiments.commands import train as command
 from lockstep import RobotFailed
 from server_app.nodes import RoundError
 from storage.checkpoint_files import checkpoints, load_checkpoint
@@ -62,6 +61,12 @@ Damage = Callable[[Path, Path], None]
 
 
 @pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs that several tests go on from, each played when it is first wanted."""
+    return tmp_path_factory.mktemp("stored")
+
+
+@pytest.fixture(scope="module")
 def expected(tiny_overrides: Any, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The digests of the run that nothing happens to."""
     folder = tmp_path_factory.mktemp("whole") / "run"
@@ -76,12 +81,26 @@ def expected(tiny_overrides: Any, tmp_path_factory: pytest.TempPathFactory) -> d
 def fleet(deployed: Tiny, tmp_path: Path) -> Callable[..., tuple[Config, FakeGrid]]:
     """A federation whose nodes keep their robots' state in folders of their own."""
 
-    def make(ticks: int = TICKS, run: str = RUN) -> tuple[Config, FakeGrid]:
+    def make(ticks: int, run: str = RUN, root: Path = tmp_path) -> tuple[Config, FakeGrid]:
         own = {"runtime.connection": "mine", "train.max_ticks": ticks, "run.id": run}
+        own |= {"run.dir": str(root / "run")}
         if run == OTHER:
-            own |= {"seed": 1, "run.dir": str(tmp_path / "other")}
+            own |= {"seed": 1, "run.dir": str(root / "other")}
         config = deployed(own)
-        return config, FakeGrid(3, node_config=lambda k: {"state-dir": str(tmp_path / f"node-{k}")})
+        return config, FakeGrid(3, node_config=lambda k: {"state-dir": str(root / f"node-{k}")})
+
+    return make
+
+
+@pytest.fixture
+def stopped(fleet: Any, run: Any, tmp_path: Path, stored: Path) -> Callable[..., None]:
+    """Lays down what a run that was stopped has left, on its nodes and at its server."""
+
+    def make(name: str = RUN) -> None:
+        kept = stored / name
+        if not kept.exists():
+            run(*fleet(TICKS, name, kept))
+        shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
 
     return make
 
@@ -95,6 +114,7 @@ def own_folder(tmp_path: Path, robot: int, run: str = RUN) -> Path:
 def test_a_robots_damaged_state_is_named_and_the_one_before_it_is_gone_on_from(
     fleet: Any,
     run: Any,
+    stopped: Any,
     expected: dict[str, str],
     tmp_path: Path,
     caplog: Any,
@@ -102,9 +122,9 @@ def test_a_robots_damaged_state_is_named_and_the_one_before_it_is_gone_on_from(
     says: str,
 ) -> None:
     config, grid = fleet(LONGER)
-    run(*fleet())
+    stopped()
     if damage is exchange:
-        run(*fleet(run=OTHER))
+        stopped(OTHER)
     path = newest_file(own_folder(tmp_path, 1))
     before = checkpoints(path.parent)
     damage(path, own_folder(tmp_path, 1, OTHER))
@@ -115,12 +135,18 @@ def test_a_robots_damaged_state_is_named_and_the_one_before_it_is_gone_on_from(
 
 @pytest.mark.parametrize(("damage", "says"), DAMAGES)
 def test_the_servers_damaged_state_is_named_and_the_one_before_it_is_gone_on_from(
-    fleet: Any, run: Any, expected: dict[str, str], tmp_path: Path, damage: Damage, says: str
+    fleet: Any,
+    run: Any,
+    stopped: Any,
+    expected: dict[str, str],
+    tmp_path: Path,
+    damage: Damage,
+    says: str,
 ) -> None:
     config, grid = fleet(LONGER)
-    run(*fleet())
+    stopped()
     if damage is exchange:
-        run(*fleet(run=OTHER))
+        stopped(OTHER)
     state = tmp_path / "run" / "state"
     path = newest_file(server_folder(state))
     damage(path, server_folder(tmp_path / "other" / "state"))
@@ -130,8 +156,10 @@ def test_the_servers_damaged_state_is_named_and_the_one_before_it_is_gone_on_fro
     assert run(config, grid, resumes=True)["digest"] == expected
 
 
-def test_a_robot_with_no_whole_state_is_named(fleet: Any, run: Any, tmp_path: Path) -> None:
-    run(*fleet())
+def test_a_robot_with_no_whole_state_is_named(
+    fleet: Any, run: Any, stopped: Any, tmp_path: Path
+) -> None:
+    stopped()
     own = own_folder(tmp_path, 1)
     for path in own.rglob("*.safetensors"):
         cut(path, path)
@@ -142,10 +170,10 @@ def test_a_robot_with_no_whole_state_is_named(fleet: Any, run: Any, tmp_path: Pa
 
 
 def test_another_robots_state_is_not_taken_for_its_own(
-    fleet: Any, run: Any, expected: dict[str, str], tmp_path: Path, caplog: Any
+    fleet: Any, run: Any, stopped: Any, expected: dict[str, str], tmp_path: Path, caplog: Any
 ) -> None:
     config, grid = fleet(LONGER)
-    run(*fleet())
+    stopped()
     path = newest_file(own_folder(tmp_path, 1))
     shutil.copy(own_folder(tmp_path, 2) / path.name, path)
     assert run(config, grid, resumes=True)["digest"] == expected
@@ -175,14 +203,14 @@ def test_the_command_names_a_damaged_checkpoint_and_goes_on_from_the_one_before_
     damage: Damage,
     says: str,
     whose: str,
-    monkeypatch: pytest.MonkeyPatch,
+    stored: Path,
 ) -> None:
-    ids = [RUN, OTHER]
-    monkeypatch.setattr(command.resume, "new_id", lambda: ids.pop(0))  # type: ignore[attr-defined]
     folder, other = tmp_path / "run", tmp_path / "other"
-    assert main(begun(tiny_overrides, folder, 80)) == 0
+    if not (stored / "alone").exists():
+        assert main([*begun(tiny_overrides, stored / "alone", 80), f"run.id={RUN}"]) == 0
+    shutil.copytree(stored / "alone", folder)
     if damage is exchange:
-        assert main(begun([*tiny_overrides, "seed=1"], other, 80)) == 0
+        assert main([*begun([*tiny_overrides, "seed=1"], other, 80), f"run.id={OTHER}"]) == 0
     path = newest_file(folder / "state" / whose)
     damage(path, other / "state" / whose)
     capsys.readouterr()

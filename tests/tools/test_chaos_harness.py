@@ -161,9 +161,10 @@ def test_moments_lie_behind_what_was_played_before(first: int) -> None:
 # --- Verdicts -------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def whole(tmp_path: Path, tiny_overrides: tuple[str, ...]) -> Path:
-    folder = tmp_path / "whole"
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, tiny_overrides: tuple[str, ...]) -> Path:
+    """A run's folder, not to be changed."""
+    folder: Path = tmp_path_factory.mktemp("harness") / "whole"
     assert main(["train", *tiny_overrides, "state.every=3", f"run.dir={folder}"]) == 0
     return folder
 
@@ -206,12 +207,13 @@ def test_clocks_make_no_difference(whole: Path, tmp_path: Path) -> None:
     assert differences(copy, whole) == []
 
 
-def test_half_written_files_are_named_and_do_not_count(whole: Path) -> None:
-    (whole / "state/server/checkpoint-000000000012.writing").write_bytes(b"half")
-    (whole / ".summary.json.17").write_text("{")
+def test_half_written_files_are_named_and_do_not_count(whole: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(whole, tmp_path / "copy")
+    (copy / "state/server/checkpoint-000000000012.writing").write_bytes(b"half")
+    (copy / ".summary.json.17").write_text("{")
     names = ["state/server/checkpoint-000000000012.writing", ".summary.json.17"]
-    assert unfinished(whole) == sorted(names)
-    assert differences(whole, whole) == []
+    assert unfinished(copy) == sorted(names)
+    assert differences(copy, whole) == []
 
 
 def test_a_sentence_is_clear_where_nothing_stands_above_it() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -49,11 +50,19 @@ def test_the_whole_suite_leaves_the_two_hosts_out_and_reports_it(
 # --- Verdicts -------------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, tiny_overrides: tuple[str, ...]) -> Path:
+    """A run's folder, not to be changed."""
+    folder: Path = tmp_path_factory.mktemp("hosts") / "run"
+    given = ["state.every=1", "train.max_ticks=20", f"run.dir={folder}"]
+    assert risfleet(["train", *tiny_overrides, *given]) == 0
+    return folder
+
+
 @pytest.fixture
-def ended(tmp_path: Path, tiny_overrides: tuple[str, ...]) -> tuple[Any, Path]:
+def ended(tmp_path: Path, run: Path) -> tuple[Any, Path]:
     """A fleet of one node, as far as a verdict looks at it, and a run that has ended there."""
-    folder = tmp_path / "run"
-    assert risfleet(["train", *tiny_overrides, "state.every=3", f"run.dir={folder}"]) == 0
+    folder = shutil.copytree(run, tmp_path / "run")
     node = SimpleNamespace(folder=tmp_path / "node-0")
     states = [folder / "state" / "robot-00"]
     return SimpleNamespace(nodes=[node], states=states, said=lambda place: JOINED), folder

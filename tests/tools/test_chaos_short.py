@@ -77,10 +77,7 @@ def test_a_play_may_be_for_some_roles_and_moments_alone() -> None:
     assert _chosen("local,simulation") == [LOCAL, SIMULATION]
     found = _chosen("local,simulation,deployment", "watchdog,SuperNode")
     roles = [(runtime.name, runtime.roles) for runtime in found]
-    assert roles == [
-        ("simulation", ("watchdog",)),
-        ("deployment", ("watchdog", "SuperNode")),
-    ]
+    assert roles == [("simulation", ("watchdog",)), ("deployment", ("watchdog", "SuperNode"))]
     (early,) = _chosen("deployment", moments="start-up")
     rng = random.Random(0)
     assert {draw(rng, early, 0).kind for _ in range(50)} == {"start-up"}

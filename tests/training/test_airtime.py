@@ -1,6 +1,7 @@
 """What the exchange of weights takes of the channel, and whom the server hears."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from training.communication import per_tick
 from training.exchange.airtime import Airtime, left_over
 from training.exchange.facts import WindowFacts
 from training.exchange.federation import build_federation
-from training.exchange.selection import strongest
+from training.exchange.reception import Reception
 
 COPY = 2 * 4 * 6104
 """Bytes of two of the default networks."""
@@ -28,8 +29,13 @@ def rate(channel_db):
     return np.log2(1.0 + 10 ** ((channel_db + 120) / 10))
 
 
+@cache
+def composed(*overrides):
+    return compose(list(overrides))
+
+
 def account(windows, *overrides, asked=ALL):
-    found = Airtime(compose(list(overrides)))
+    found = Airtime(composed(*overrides))
     for window in windows:
         found.add(window, asked)
     return found.summary(MEASURES)
@@ -77,7 +83,7 @@ def test_worlds_side_by_side_count_as_one():
 
 def test_the_account_goes_on_from_its_state():
     windows = [facts(-60.0, -80.0, -100.0), facts(-90.0, -85.0, -70.0)]
-    first, second = Airtime(compose([])), Airtime(compose([]))
+    first, second = Airtime(composed()), Airtime(composed())
     first.add(windows[0], ALL)
     second.restore(first.state())
     second.add(windows[1], ALL)
@@ -100,11 +106,14 @@ def test_what_is_counted_is_less_and_nothing_where_weights_take_all():
 # --- Whom the server hears ------------------------------------------------------------------------
 
 
-def test_the_best_channels_are_asked_and_ties_go_to_the_first_robot():
-    channels = np.array([-80.0, -60.0, -70.0, -60.0])
-    assert strongest(channels, None).tolist() == [0, 1, 2, 3]
-    assert strongest(channels, 1).tolist() == [1]
-    assert strongest(channels, 3).tolist() == [1, 2, 3]
+@pytest.mark.parametrize(
+    ("hear", "asked"), [(None, [0, 1, 2, 3]), (1, [1]), (2, [1, 3]), (3, [1, 2, 3])]
+)
+def test_the_best_channels_are_asked_and_ties_go_to_the_first_robot(tiny, hear, asked):
+    rows = np.zeros((4, 2, 1), np.float32)
+    window = facts(-80.0, -60.0, -70.0, -60.0)
+    found = Reception(tiny({"federation.hear": hear})).heard(1, rows, rows, window)
+    assert found.asked.tolist() == asked
 
 
 @pytest.mark.parametrize(("hear", "mean"), [(1, 2.0), (2, 1.5), (3, 4 / 3)])
@@ -114,7 +123,7 @@ def test_the_mean_is_of_those_that_are_heard(tiny, hear, mean):
     uploads = np.stack([np.full(shape, value, np.float32) for value in (1, 2, 1)])
     window = facts(-90.0, -50.0, -70.0)
     found = build_federation(config).exchange(1, np.zeros(shape, np.float32), uploads, window)
-    np.testing.assert_allclose(found.model, mean, rtol=1e-6)
+    np.testing.assert_allclose(found[0], mean, rtol=1e-6)
 
 
 # --- What runs say of it --------------------------------------------------------------------------

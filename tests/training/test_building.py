@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from building_helpers import LossyRooms, StandIns
+from resume_helpers import rows, summary
 
 from conf import Config, ConfigError, ap_network, robot_network
 from conf.rooms import from_json, rooms_of
@@ -23,9 +23,9 @@ from storage.checkpoint_files import CheckpointError, checkpoints, digest
 from storage.checkpoint_layout import room_folder, server_folder
 from training.building import BuildingRun
 from training.checkpoint import latest
-from training.known_rooms import known_rooms
 from training.recording.history import EVALUATIONS, MEASURES
 from training.room_recording import ROOM_METRICS, ROOMS
+from training.rooms import known_rooms
 from training.run_folder import RunFolder
 
 Building = Callable[..., Config]
@@ -38,43 +38,60 @@ QUIET = {
 }
 """An evaluation at the end alone, and a short one; nothing is kept."""
 
-
-def summary(folder: Path) -> Summary:
-    found: Summary = json.loads((folder / "summary.json").read_text())
-    return found
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    """A CSV file's rows without the clocks."""
-    with path.open() as file:
-        return [{k: v for k, v in row.items() if k != "cpu_s"} for row in csv.DictReader(file)]
+GOES_ON = {"train.max_ticks": 50, "evaluation.every": 5, "rooms.held_out": 1}
 
 
 def records(folder: Path) -> list[list[dict[str, str]]]:
     return [rows(folder / name) for name in ("metrics.csv", "rooms.csv", "evaluations.csv")]
 
 
+def trained(
+    tiny_building: Building,
+    path: Path,
+    changes: dict[str, Any] | None = None,
+    lost: dict[int, tuple[int, ...]] | None = None,
+    host: Any = None,
+    backwards: bool = False,
+) -> tuple[Summary, Any]:
+    """Trains a building in a folder with a host; returns summary and host."""
+    folder = RunFolder(path)
+    config = tiny_building({**QUIET, **(changes or {}), "run.dir": str(path)})
+    state = None if config.state.every is None else folder.state
+    if host is None:
+        host = LossyRooms(config, state, lost or {})
+        host.backwards = backwards
+    BuildingRun(config, folder).train(host)
+    return summary(path), host
+
+
 @pytest.fixture
 def build(tiny_building: Building, tmp_path: Path) -> Callable[..., tuple[Summary, Any]]:
-    """Trains a building in a folder of this name with a host; returns summary and host."""
+    """Trains a building in a folder of this name; see ``trained``."""
+    return lambda name, *rest, **named: trained(tiny_building, tmp_path / name, *rest, **named)
 
-    def make(
-        name: str,
-        changes: dict[str, Any] | None = None,
-        lost: dict[int, tuple[int, ...]] | None = None,
-        host: Any = None,
-        backwards: bool = False,
-    ) -> tuple[Summary, Any]:
-        folder = RunFolder(tmp_path / name)
-        config = tiny_building({**QUIET, **(changes or {}), "run.dir": str(folder.path)})
-        state = None if config.state.every is None else folder.state
-        if host is None:
-            host = LossyRooms(config, state, lost or {})
-            host.backwards = backwards
-        BuildingRun(config, folder).train(host)
-        return summary(folder.path), host
 
-    return make
+@pytest.fixture(scope="module")
+def plain(tiny_building: Building, tmp_path_factory: pytest.TempPathFactory) -> tuple[Summary, Any]:
+    """A building to which nothing happens; not to be changed."""
+    return trained(tiny_building, tmp_path_factory.mktemp("plain") / "run")
+
+
+@pytest.fixture(scope="module")
+def one_missing(
+    tiny_building: Building, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Summary, Any]:
+    """A building whose room 1 misses every round, and its folder; not to be changed."""
+    folder = tmp_path_factory.mktemp("missing") / "run"
+    return folder, *trained(tiny_building, folder, {}, dict.fromkeys(range(1, 5), (1,)))
+
+
+@pytest.fixture(scope="module")
+def whole_building(
+    tiny_building: Building, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Summary]:
+    """A building of five rounds that nothing interrupts, and its folder; not to be changed."""
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    return folder, trained(tiny_building, folder, {**GOES_ON, "state.every": 4})[0]
 
 
 @pytest.fixture
@@ -186,8 +203,8 @@ def test_progress_and_figure_are_there(building_run: Path) -> None:
 # --- Averages -------------------------------------------------------------------------------------
 
 
-def test_rooms_start_from_the_mean_of_what_all_have_come_to(build: Any) -> None:
-    told, host = build("run")
+def test_rooms_start_from_the_mean_of_what_all_have_come_to(plain: tuple[Summary, Any]) -> None:
+    told, host = plain
     for reports, after in zip(host.played, host.asked[1:], strict=False):
         uploads = np.stack([reports[k].model for k in range(3)]).astype(np.float64)
         assert np.allclose(after.model, uploads.mean(axis=0), rtol=0, atol=1e-7)
@@ -197,13 +214,13 @@ def test_rooms_start_from_the_mean_of_what_all_have_come_to(build: Any) -> None:
     assert told["digest"]["ap"] == digest(np.concatenate([own[k].ap.ravel() for k in range(3)]))
 
 
-def test_access_points_may_share_a_network_too(build: Any) -> None:
+def test_access_points_may_share_a_network_too(build: Any, plain: tuple[Summary, Any]) -> None:
     told, host = build("run", {"rooms.access_points": "mean"})
     for reports, after in zip(host.played, host.asked[1:], strict=False):
         mean = np.mean([reports[k].ap.astype(np.float64) for k in range(3)], axis=0)
         for each in after.rooms:
             assert np.allclose(each.ap, mean, rtol=0, atol=1e-7)
-    assert told["digest"]["ap"] != build("own")[0]["digest"]["ap"]
+    assert told["digest"]["ap"] != plain[0]["digest"]["ap"]
 
 
 def test_all_rooms_start_alike(build: Any) -> None:
@@ -253,31 +270,31 @@ def test_a_room_whose_weights_are_absurd_ends_the_run(build: Any) -> None:
         build("run", host=StandIns(absurd))
 
 
-def test_with_one_strategy_within_and_another_across_both_are_applied(build: Any) -> None:
-    digests = [
-        build(name, {"train.max_ticks": 20, **changes})[0]["digest"]["robots"]
-        for name, changes in (
-            ("mean", {}),
-            ("across", {"rooms.strategy.name": "fedmedian"}),
-            ("within", {"strategy.name": "fedprox", "strategy.proximal_mu": 0.1}),
-        )
+def test_with_one_strategy_within_and_another_across_both_are_applied(
+    build: Any, plain: tuple[Summary, Any]
+) -> None:
+    runs = [
+        plain,
+        build("across", {"rooms.strategy.name": "fedmedian"}),
+        build("within", {"strategy.name": "fedprox", "strategy.proximal_mu": 0.1}),
     ]
-    assert len({*digests}) == 3
+    assert len({told["digest"]["robots"] for told, _ in runs}) == 3
 
 
 # --- Who takes part -------------------------------------------------------------------------------
 
 
 def test_a_fraction_of_the_rooms_takes_part_drawn_anew_in_each_round(build: Any) -> None:
-    changes = {"rooms.fraction": 0.5, "rooms.count": 4, "train.max_ticks": 80, "seed": 3}
+    changes = {"rooms.fraction": 0.5, "rooms.count": 4, "train.max_ticks": 60, "seed": 3}
     told, host = build("run", changes)
     took_part = [tuple(sorted(reports)) for reports in host.played]
     assert {len(rooms) for rooms in took_part} == {2}
     assert len({*took_part}) > 2
     for index in range(4):
         assert told["rooms"]["ticks"][index] == 10 * sum(index in rooms for rooms in took_part)
-    again = build("again", changes)[1]
-    assert [tuple(sorted(reports)) for reports in again.played] == took_part
+    again = build("again", changes, host=StandIns(lambda index, model, ap: (model, ap)))[1]
+    asked = [tuple(each.room.index for each in task.rooms) for task in again.asked]
+    assert asked == took_part
 
 
 def test_a_room_is_told_which_round_it_goes_on_from(build: Any) -> None:
@@ -306,20 +323,17 @@ def test_a_round_that_all_rooms_miss_changes_no_weight(build: Any) -> None:
     assert (told["ticks"], told["windows"]) == (40, 8)
 
 
-def test_rooms_that_miss_all_rounds_have_the_first_access_point(build: Any, tmp_path: Path) -> None:
-    told, host = build("run", {}, dict.fromkeys(range(1, 5), (1,)))
-    place = RunFolder(tmp_path / "run").room("0001")
+def test_rooms_that_miss_all_rounds_have_the_first_access_point(one_missing: Any) -> None:
+    folder, told, host = one_missing
+    place = RunFolder(folder).room("0001")
     _, ap = place.read_networks(place.read_config())
     assert np.array_equal(ap, host.asked[0].rooms[1].ap)
     assert told["rooms"]["episodes"][1] == 0
 
 
-def test_the_rooms_that_were_missing_are_told(
-    build: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    build("run", {}, {4: (2,)})
-    status = json.loads((tmp_path / "run" / "progress.json").read_text())
-    assert status["rooms"] == {"count": 3, "took_part": 2, "missing": [2]}
+def test_the_rooms_that_were_missing_are_told(one_missing: Any) -> None:
+    status = json.loads((one_missing[0] / "progress.json").read_text())
+    assert status["rooms"] == {"count": 3, "took_part": 2, "missing": [1]}
 
 
 def test_no_order_of_reports_changes_a_bit(build: Any, tmp_path: Path) -> None:
@@ -329,15 +343,13 @@ def test_no_order_of_reports_changes_a_bit(build: Any, tmp_path: Path) -> None:
     assert records(tmp_path / "False") == records(tmp_path / "True")
 
 
-def test_nobody_trains_in_rooms_that_are_held_out(build: Any) -> None:
-    held_out, none = (
-        build(str(count), {"rooms.held_out": count, "train.max_ticks": 20}) for count in (2, 0)
-    )
-    assert held_out[0]["digest"] == none[0]["digest"]
-    asked = {each.room.name for task in held_out[1].asked for each in task.rooms}
+def test_nobody_trains_in_rooms_that_are_held_out(build: Any, plain: tuple[Summary, Any]) -> None:
+    told, host = build("held_out", {"rooms.held_out": 2})
+    assert told["digest"] == plain[0]["digest"]
+    asked = {each.room.name for task in host.asked for each in task.rooms}
     assert asked == {"0000", "0001", "0002"}
-    assert "held_out" in held_out[0]["rooms"]
-    assert "held_out" not in none[0]["rooms"]
+    assert "held_out" in told["rooms"]
+    assert "held_out" not in plain[0]["rooms"]
 
 
 def test_an_evaluation_plays_in_so_many_rooms_and_the_last_one_in_all(
@@ -352,7 +364,6 @@ def test_an_evaluation_plays_in_so_many_rooms_and_the_last_one_in_all(
 
 # --- Runs that go on ------------------------------------------------------------------------------
 
-GOES_ON = {"train.max_ticks": 60, "evaluation.every": 6, "rooms.held_out": 1}
 VARIANTS: list[dict[str, Any]] = [
     {"state.every": 2},
     {"state.every": 100},
@@ -385,7 +396,7 @@ def test_a_building_that_is_stopped_goes_on_to_the_same_bits(
 
     changes = {**GOES_ON, **changes}
     state = RunFolder(tmp_path / "stopped").state
-    config = whole_config(tmp_path / "whole")
+    config = RunFolder(tmp_path / "whole").read_config()
     told, _ = build("stopped", changes, host=Stopped(config, state, lost))
     assert told["stopped_early"]
     assert told["ticks"] == 30
@@ -396,19 +407,15 @@ def test_a_building_that_is_stopped_goes_on_to_the_same_bits(
     assert records(tmp_path / "stopped") == records(tmp_path / "whole")
 
 
-def whole_config(folder: Path) -> Config:
-    return RunFolder(folder).read_config()
-
-
 def test_a_building_that_dies_goes_on_from_its_last_checkpoint(
-    build: Any, resume: Any, tmp_path: Path
+    build: Any, resume: Any, tmp_path: Path, whole_building: Any
 ) -> None:
-    whole, _ = build("whole", {**GOES_ON, "state.every": 4})
-    config, state = whole_config(tmp_path / "whole"), tmp_path / "died" / "state"
+    folder, whole = whole_building
+    config, state = RunFolder(folder).read_config(), tmp_path / "died" / "state"
 
     class Dying(LossyRooms):
         def play(self, task: Any) -> Any:
-            if task.number == 6:
+            if task.number == 5:
                 raise OSError("the machine is gone")
             return super().play(task)
 
@@ -417,15 +424,14 @@ def test_a_building_that_dies_goes_on_from_its_last_checkpoint(
     assert checkpoints(server_folder(state)) == [4, 8]
     assert checkpoints(room_folder(state, "0001")) == [2, 4]
     assert resume("died")["digest"] == whole["digest"]
-    assert records(tmp_path / "died") == records(tmp_path / "whole")
+    assert records(tmp_path / "died") == records(folder)
 
 
 def test_a_building_that_has_ended_can_be_made_longer(
-    build: Any, resume: Any, tmp_path: Path
+    build: Any, resume: Any, whole_building: Any
 ) -> None:
-    whole, _ = build("whole", {**GOES_ON, "rooms.fraction": 0.6, "state.every": 100})
-    build("short", {**GOES_ON, "rooms.fraction": 0.6, "state.every": 100, "train.max_ticks": 30})
-    assert resume("short", max_ticks=60)["digest"] == whole["digest"]
+    build("short", {**GOES_ON, "state.every": 100, "train.max_ticks": 30})
+    assert resume("short", max_ticks=50)["digest"] == whole_building[1]["digest"]
 
 
 def test_a_building_ends_after_as_many_episodes_a_room(build: Any) -> None:
@@ -452,25 +458,17 @@ def test_the_command_goes_on_with_a_building(
 
 
 def test_a_damaged_checkpoint_of_a_room_is_passed_over(
-    building_overrides: tuple[str, ...], tmp_path: Path, capsys: Any
+    build: Any, resume: Any, tmp_path: Path, capsys: Any
 ) -> None:
-    folders = [tmp_path / name for name in ("whole", "damaged")]
-    for folder in folders:
-        short = ("state.every=2", "train.max_ticks=30", f"run.dir={folder}")
-        own = [key for key in building_overrides if key.split("=")[0] not in _keys(short)]
-        assert main(["train", *own, *short]) == 0
-    newest = sorted(room_folder(folders[1] / "state", "0001").iterdir())[-1]
+    build("whole", {"evaluation.every": 2, "state.every": 2, "train.max_ticks": 20})
+    whole, damaged = tmp_path / "whole", tmp_path / "damaged"
+    shutil.copytree(whole, damaged)
+    newest = sorted(room_folder(damaged / "state", "0001").iterdir())[-1]
     newest.write_bytes(newest.read_bytes()[:-5])
-    capsys.readouterr()
-    for folder in folders:
-        assert main(["train", f"resume={folder}", "train.max_ticks=60"]) == 0
+    assert main(["train", f"resume={damaged}", "train.max_ticks=40"]) == 0
     assert newest.name in capsys.readouterr().out
-    assert summary(folders[0])["digest"] == summary(folders[1])["digest"]
-    assert records(folders[0]) == records(folders[1])
-
-
-def _keys(overrides: tuple[str, ...]) -> set[str]:
-    return {item.split("=")[0] for item in overrides}
+    assert resume("whole", max_ticks=40)["digest"] == summary(damaged)["digest"]
+    assert records(whole) == records(damaged)
 
 
 def test_records_that_are_shorter_than_the_checkpoint_says_are_found(

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.replay.uniform import RowLayout
+from agent.replay import RowLayout
 from client_app.robots import RobotGroup
 from client_app.state import CheckpointedRobots
 from conf import Config, robot_network
@@ -477,7 +477,7 @@ GROUPED: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("variant", some_always(GROUPED, "fedavg", "worlds_credit"))
 def test_grouping_changes_no_bit(tiny: Tiny, play: Callable[..., Any], variant: str) -> None:
-    config = tiny({"train.max_ticks": 200, **GROUPED[variant]})
+    config = tiny({"train.max_ticks": 100, **GROUPED[variant]})
     found = {play(config, blocks).digests for blocks in BLOCKS}
     assert len(found) == 1
 
@@ -500,7 +500,7 @@ CARRIED: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("variant", some_always(CARRIED, "robots", "worlds_search"))
 def test_sockets_change_no_bit(tiny: Tiny, play: Callable[..., Any], variant: str) -> None:
-    config = tiny({"train.max_ticks": 200, **CARRIED[variant]})
+    config = tiny({"train.max_ticks": 100, **CARRIED[variant]})
     expected = play(config).digests
     for blocks in BLOCKS[1:]:
         played, raised = over_tcp(config, blocks, play)

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from conf import StrategyConfig
 from training.aggregation.aggregator import Aggregator
 from training.aggregation.gossip import Gossip, mean_degree, metropolis, neighbours
+from training.exchange.facts import WindowFacts
+from training.exchange.federation import build_federation
 
 GRAPHS = ("ring", "complete", "random")
 
@@ -92,8 +94,9 @@ def test_the_mean_degree_is_that_of_the_graphs(graph):
     assert mean_degree(config, 7) == pytest.approx(np.mean(drawn), abs=0.05)
 
 
-def test_absurd_weights_are_refused_by_the_robots_name():
-    rows = uploads(4)
+def test_absurd_weights_are_refused_by_the_robots_name(tiny):
+    rows, facts = uploads(3), WindowFacts(np.zeros(3), np.zeros((3, 24), int))
     rows[2, 0, 5] = np.inf
+    federation = build_federation(tiny({"strategy.name": "gossip"}))
     with pytest.raises(ValueError, match=r"window 6: absurd weights from robot 2 \(inf\)"):
-        Gossip(gossip("ring"), 0).mix(6, rows)
+        federation.exchange(6, uploads(3), rows, facts)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from exchange_helpers import in_process, over_sockets
+from resume_helpers import check_goes_on
 
 from conf import Config, robot_network
 from experiments.cli import main
-from training import session
 from training.exchange.own_parts import shared_numbers
 from training.run_folder import RunFolder
 
@@ -51,30 +49,12 @@ def test_robots_differ_in_their_own_layers_alone(tiny: Callable[..., Config]) ->
 
 @pytest.mark.parametrize("kind", RESUMED)
 def test_a_run_that_died_ends_in_the_same_bits_and_can_be_played(
-    kind: str,
-    tiny_overrides: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    kind: str, tiny_overrides: tuple[str, ...], tmp_path: Path
 ) -> None:
-    whole, died = tmp_path / "whole", tmp_path / "died"
-    given = ["train", *tiny_overrides, *RESUMED[kind], "train.max_ticks=70", "state.every=3"]
-    assert main([*given, f"run.dir={whole}"]) == 0
-    save = session.save_server  # type: ignore[attr-defined]
-
-    def fatal(writer: Any, state: Path, window: int, *rest: Any) -> None:
-        if window == 6:
-            raise OSError("the machine is gone")
-        save(writer, state, window, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(session, "save_server", fatal)
-        assert main([*given, f"run.dir={died}"]) == 1
-    assert main(["train", f"resume={died}"]) == 0
-    one, again = (
-        json.loads((folder / "summary.json").read_text())["digest"] for folder in (whole, died)
-    )
-    assert one == again
-    folder = RunFolder(whole)
+    folder = RunFolder(tmp_path / "whole")
+    given = [*tiny_overrides, *RESUMED[kind], "train.max_ticks=70", "state.every=3"]
+    assert main(["train", *given, f"run.dir={folder}"]) == 0
+    check_goes_on(folder.path, 3)
     robots, _ = folder.read_networks(folder.read_config())
     assert (robots[0] == robots[1]).all() == (kind == "visits")
-    assert main(["evaluate", str(whole), "--episodes", "2"]) == 0
+    assert main(["evaluate", str(folder), "--episodes", "2"]) == 0

@@ -32,9 +32,8 @@ def networks(shape: NetworkShape, robots: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("own", SHARED)
-@pytest.mark.parametrize("dueling", [False, True])
-def test_masks_cover_exactly_the_layers(own, dueling):
-    shape = NetworkShape(4, (5, 6), 3, dueling)
+def test_masks_cover_exactly_the_layers(own):
+    shape = NetworkShape(4, (5, 6), 3)
     mask = shared_numbers(shape, own).astype(np.float32)
     for matrix, shared in zip(shape.matrices(mask), SHARED[own], strict=True):
         assert (matrix == shared).all()

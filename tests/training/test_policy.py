@@ -9,6 +9,7 @@ import pytest
 
 import risfleet
 from conf import ConfigError
+from env import RISFleetParallelEnv
 from training.evaluation import Evaluator
 from training.policy import Policy
 
@@ -68,7 +69,7 @@ def test_every_scheme_decides_in_the_environment(
     generator = np.random.default_rng(0)
     robots, ap = (generator.normal(size=shapes[n]).astype(np.float32) for n in ("robots", "ap"))
     policy = Policy(config, robots[:, 0], ap[0])
-    fleet = risfleet.make_env([*tiny_overrides, *overrides])
+    fleet = RISFleetParallelEnv(config.env, seed=config.seed)
     fleet.reset(seed=0)
     for _ in range(3):
         chosen = policy.decide(fleet, epsilon=0.5)

@@ -282,7 +282,7 @@ def same(one: EpisodeMeasures, other: EpisodeMeasures) -> bool:
 def test_a_run_is_a_run_whoever_picks_powers(
     tiny: Tiny, agents: str, power: str, tmp_path: Path
 ) -> None:
-    config = powered(tiny, power, agents, train__max_ticks=200)
+    config = powered(tiny, power, agents, train__max_ticks=60)
     summary = local.train(config, RunFolder(tmp_path / "run"))
     assert summary["scheme"]["power"] == power
     assert summary["digest"] == local.train(config, RunFolder(tmp_path / "again"))["digest"]

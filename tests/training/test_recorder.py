@@ -265,7 +265,8 @@ def test_a_run_that_fails_says_so_with_its_reason(
 def test_a_run_whose_progress_cannot_be_written_goes_on_and_says_so_once(
     tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    expected = trained(tiny, tmp_path / "undisturbed")["digest"]
+    length = {"train.max_ticks": 30}
+    expected = trained(tiny, tmp_path / "undisturbed", length)["digest"]
     monkeypatch.setattr("training.recording.recorder.PROGRESS_PERIOD_S", 0.0)
     refused = []
 
@@ -274,7 +275,7 @@ def test_a_run_whose_progress_cannot_be_written_goes_on_and_says_so_once(
         raise OSError(28, "No space left on device", str(folder.progress_file))
 
     monkeypatch.setattr(RunFolder, "write_progress", refuse)
-    assert trained(tiny, tmp_path / "run")["digest"] == expected
+    assert trained(tiny, tmp_path / "run", length)["digest"] == expected
     assert len(refused) > 2
     (said,) = caplog.messages
     assert said == "progress.json is not written: No space left on device"
@@ -312,8 +313,8 @@ def test_a_run_whose_events_cannot_be_written_goes_on_and_says_so_once(
         return Events(breaks)
 
     monkeypatch.setattr(tensorboard, "SummaryWriter", make)
-    summary = trained(tiny, tmp_path, {"run.tensorboard": True})
-    assert summary["ticks"] == 100
+    summary = trained(tiny, tmp_path, {"run.tensorboard": True, "train.max_ticks": 30})
+    assert summary["ticks"] == 30
     assert strict_json(tmp_path / "progress.json")["state"] == "done"
     (said,) = caplog.messages
     assert said.startswith("no events for TensorBoard from here on: ")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import fcntl
-import json
 import os
 import shlex
 import shutil
@@ -17,22 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from resume_helpers import check_goes_on, check_same, rewound, summary
 
 from conf.user_paths import resumed_folder
 from experiments.cli import main
 from storage.checkpoint_files import checkpoints
 from storage.checkpoint_layout import robot_windows, server_folder
-from training import checkpoint, resume, session
+from training import checkpoint, resume
+from training.recording import summary as accounts
 
 FALLING = ("agent.learning_rate_end=0.001", "agent.learning_rate_updates=60")
-EVERY_OPTION = (
-    *FALLING,
-    "agent.updates=2",
-    "agent.n_step=3",
-    "agent.dueling=true",
-    "agent.double=true",
-    "agent.priority.alpha=0.6",
-)
+EVERY_OPTION = (*FALLING, "agent.updates=2", "agent.double=true")
 SERVING = (
     "env.reward.credit=difference",
     "env.reward.weights=objective",
@@ -75,62 +68,28 @@ def train(tiny_overrides: list[str], tmp_path: Path, run_of_120_ticks: Path) -> 
     return run
 
 
-def summary(folder: Path) -> dict:
-    return json.loads((folder / "summary.json").read_text())
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    """A CSV file's rows without the clocks."""
-    with path.open() as file:
-        return [{k: v for k, v in row.items() if k != "cpu_s"} for row in csv.DictReader(file)]
-
-
 def die_at(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     """Lets a run fail before the server writes its checkpoint of a window."""
-    save = session.save_server  # type: ignore[attr-defined]
+    save = accounts.save_server  # type: ignore[attr-defined]
 
     def fatal(writer, state, at, *rest):
         if at == window:
             raise OSError("the machine is gone")
         save(writer, state, at, *rest)
 
-    monkeypatch.setattr(session, "save_server", fatal)
+    monkeypatch.setattr(accounts, "save_server", fatal)
 
 
-@pytest.mark.parametrize(
-    ("fading", "strategy"),
-    [
-        ("slot", "fedavg"),
-        ("static", "fedavgm"),
-        slow("static", "fedadam"),
-        ("static", "none"),
-        ("static", "fedprox"),
-        slow("static", "fedavg"),
-        slow("slot", "fedavgm"),
-        slow("slot", "fedadam"),
-        slow("slot", "none"),
-        slow("slot", "fedprox"),
-    ],
-)
 def test_a_run_that_died_ends_in_the_same_bits(
-    train, fading, strategy, tmp_path, tiny_overrides, monkeypatch
+    train, tmp_path, tiny_overrides, monkeypatch
 ) -> None:
-    changes = [f"strategy={strategy}", f"env.channel.fading={fading}"]
-    if strategy == "fedprox":
-        changes.append("strategy.proximal_mu=0.1")
-    whole = train("whole", *changes)
-    folder = tmp_path / "died"
+    whole, folder = train("whole"), tmp_path / "died"
     with monkeypatch.context() as patch:
         die_at(patch, 9)
-        given = ["train", *tiny_overrides, *CHANGES, *changes, f"run.dir={folder}"]
-        assert main(given) == 1
+        assert main(["train", *tiny_overrides, *CHANGES, f"run.dir={folder}"]) == 1
     assert checkpoints(server_folder(folder / "state")) == [3, 6]
     assert main(["train", f"resume={folder}"]) == 0
-    assert summary(folder)["digest"] == summary(whole)["digest"]
-    for name in ("metrics.csv", "evaluations.csv"):
-        assert rows(folder / name) == rows(whole / name)
-    for key in ("ticks", "windows", "episodes", "evaluation"):
-        assert summary(folder)[key] == summary(whole)[key]
+    check_same(folder, whole)
 
 
 def test_a_run_that_has_ended_can_be_made_longer(train) -> None:
@@ -160,13 +119,12 @@ def test_a_run_may_be_moved(train, tmp_path) -> None:
 
 
 def test_a_killed_process_can_be_resumed(train, tiny_overrides, tmp_path) -> None:
-    length = ("train.max_ticks=2000", "train.episodes=1000000")
-    length = (*length, "state.every=5", "evaluation.every=50")
-    whole = train("whole", *length)
+    """It is killed when it has written two checkpoints, wherever it is by then."""
+    endless = ("train.max_ticks=100000000", "train.episodes=100000000", "evaluation.every=50")
     folder = tmp_path / "killed"
     command = [sys.executable, "-m", "experiments.cli", "train", *tiny_overrides, *CHANGES]
     process = subprocess.Popen(
-        [*command, *length, f"run.dir={folder}"],
+        [*command, *endless, f"run.dir={folder}"],
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
@@ -176,8 +134,10 @@ def test_a_killed_process_can_be_resumed(train, tiny_overrides, tmp_path) -> Non
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     assert not (folder / "summary.json").exists()
-    assert main(["train", f"resume={folder}"]) == 0
-    assert summary(folder)["digest"] == summary(whole)["digest"]
+    length = f"train.max_ticks={10 * checkpoint.latest(folder / 'state', 3).window + 25}"
+    whole = train("whole", *endless, length)
+    assert main(["train", f"resume={folder}", length]) == 0
+    check_same(folder, whole)
 
 
 def test_what_cannot_be_resumed_is_refused_in_a_sentence(train, tmp_path, capsys) -> None:
@@ -205,13 +165,13 @@ def test_a_run_of_another_version_is_refused(train, monkeypatch, capsys) -> None
 
 
 def test_without_checkpoints_none_are_written(train) -> None:
-    folder = train("bare", "state.every=null")
+    folder = train("bare", "state.every=null", "train.max_ticks=20")
     assert not (folder / "state").exists()
 
 
 def test_a_run_that_died_after_its_last_window_is_finished_without_playing(train) -> None:
     for strategy in ("fedavg", "none"):
-        folder = train(strategy, f"strategy={strategy}")
+        folder = train(strategy, *() if strategy == "fedavg" else ("strategy=none",))
         before = summary(folder)
         (folder / "summary.json").unlink()
         (folder / "weights.safetensors").unlink()
@@ -233,9 +193,9 @@ def test_robots_a_write_ahead_of_the_server_leave_a_checkpoint_that_all_have(
         if window == 3:
             save(writer, state, window, *rest)
 
-    save = session.save_server  # type: ignore[attr-defined]
+    save = accounts.save_server  # type: ignore[attr-defined]
     with monkeypatch.context() as patch:
-        patch.setattr(session, "save_server", stalled)
+        patch.setattr(accounts, "save_server", stalled)
         given = ["train", *tiny_overrides, *CHANGES, f"run.dir={folder}"]
         assert main(given) == 1
     assert sorted(robot_windows(folder / "state", 0)) == [3, 6, 9]
@@ -253,14 +213,14 @@ def test_files_that_lack_rows_are_refused_before_anything_is_written(train, caps
     assert (folder / "config.yaml").read_text() == before
 
 
-def test_files_that_an_editor_saved_in_its_own_way_go_on_to_the_same_bits(train) -> None:
-    whole, folder = train("whole"), train("edited", "train.max_ticks=60")
-    for name in ("config.yaml", "metrics.csv", "evaluations.csv", "summary.json"):
+def test_files_that_an_editor_saved_in_its_own_way_go_on_to_the_same_bits(train, tmp_path) -> None:
+    whole = train("whole")
+    folder = rewound(whole, tmp_path / "edited", 6)
+    for name in ("config.yaml", "metrics.csv", "evaluations.csv"):
         text = (folder / name).read_text(encoding="utf-8")
         (folder / name).write_text(text, encoding="utf-8-sig", newline="\r\n")
-    assert main(["train", f"resume={folder}", "train.max_ticks=120"]) == 0
-    assert summary(folder)["digest"] == summary(whole)["digest"]
-    assert rows(folder / "metrics.csv") == rows(whole / "metrics.csv")
+    assert main(["train", f"resume={folder}"]) == 0
+    check_same(folder, whole)
 
 
 def test_a_configuration_in_utf_16_is_named(train, capsys) -> None:
@@ -287,6 +247,9 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
+        slow(["env.channel.fading=slot"]),
+        ["strategy=none"],
+        ["strategy=fedprox", "strategy.proximal_mu=0.1"],
         ["env.ris.response=near", "env.ris.action=codebook", "env.ris.sectors=[2,2]"],
         slow(["env.collisions=block", "env.walls.block_motion=true", "env.reward.distance=way"]),
         ["strategy=krum", "env.access=oma", "env.metric=qoe"],
@@ -298,21 +261,18 @@ def test_a_run_that_is_going_on_is_not_joined(train, capsys) -> None:
         slow(["strategy=fedmedian"]),
         ["strategy=fedadam", *EVERY_OPTION],
         slow(["strategy=fedavgm"]),
+        slow(["strategy=fedadam", "env.channel.fading=slot"]),
         ["baseline=centralized", "env.robots=2", *EVERY_OPTION],
         slow(["baseline=branching", "agent.updates=2", *FALLING]),
         slow(["train.worlds=3", "strategy=fedavgm", *SERVING]),
         ["train.worlds=2", "env.channel.fading=slot", *EVERY_OPTION],
-        slow(["train.worlds=3", "agent.n_step=2"]),
-        slow(["train.worlds=3", "agent.priority.alpha=0.6"]),
         slow(["train.worlds=2", "env.channel.fading=slot", "scheme.power=search"]),
-        slow(["baseline=centralized", "env.robots=2", "train.worlds=2", "agent.n_step=2"]),
+        slow(["baseline=centralized", "env.robots=2", "train.worlds=2"]),
         ["baseline=branching", "train.worlds=2", "env.channel.fading=slot"],
     ],
 )
-def test_other_worlds_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:
-    whole, short = train("whole", *changes), train("short", *changes, "train.max_ticks=60")
-    assert main(["train", f"resume={short}", "train.max_ticks=120"]) == 0
-    assert summary(short)["digest"] == summary(whole)["digest"]
+def test_other_worlds_strategies_and_schemes_are_resumed_to_the_same_bits(train, changes) -> None:
+    check_goes_on(train("whole", *changes), 6)
 
 
 def test_a_full_disk_ends_a_run_with_a_sentence(tiny_overrides, tmp_path, monkeypatch, capsys):

@@ -6,14 +6,13 @@ from pathlib import Path
 import pytest
 
 from training.run_folder import RunFolder
-from training.run_paths import RunPaths
 
 ROOT = Path(__file__).parent.parent.parent
 PACKAGES = (
     "env", "storage", "repeatable", "agent", "lockstep", "conf", "training", "client_app",
     "server_app", "experiments",
 )  # fmt: skip
-OWNER = ROOT / "training" / "run_paths.py"
+OWNER = ROOT / "training" / "run_folder.py"
 FILES = (
     "config.yaml", "summary.json", "progress.json", "metrics.csv", "evaluations.csv",
     "episode.json", "weights.safetensors", "flower.log", "rooms.json", "rooms.csv",
@@ -24,8 +23,7 @@ PLAIN = ("stop", "state", "figures", "tensorboard", "wandb", "mlflow")
 
 def test_the_files_of_a_run_are_called_as_they_always_were() -> None:
     found = RunFolder(Path("run"))
-    properties = [name for name, value in vars(RunPaths).items() if isinstance(value, property)]
-    paths = [path for name in properties if isinstance(path := getattr(found, name, None), Path)]
+    paths = [path for name, path in vars(found).items() if name != "path"]
     assert {path.name for path in paths} == {*FILES, *PLAIN}
     assert {path.parent for path in paths} == {Path("run")}
 

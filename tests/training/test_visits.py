@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from agent import NetworkShape
 from training.aggregation.visits import VisitMean
@@ -16,9 +15,8 @@ def rows(shape: NetworkShape) -> np.ndarray:
     return np.random.default_rng(1).normal(size=(2, 2, shape.parameters)).astype(np.float32)
 
 
-@pytest.mark.parametrize("dueling", [False, True])
-def test_outputs_count_by_their_action_and_all_else_by_transitions(dueling):
-    shape = NetworkShape(4, (5,), ACTIONS, dueling)
+def test_outputs_count_by_their_action_and_all_else_by_transitions():
+    shape = NetworkShape(4, (5,), ACTIONS)
     uploads = rows(shape)
     first, second = uploads.astype(np.float64)
     found = VisitMean(shape).mean(uploads, COUNTS)
@@ -31,9 +29,6 @@ def test_outputs_count_by_their_action_and_all_else_by_transitions(dueling):
     for action, share in shares.items():
         expected = share * one[..., action] + (1 - share) * other[..., action]
         np.testing.assert_allclose(last[..., action], expected, atol=1e-6)
-    if dueling:
-        expected = one[..., ACTIONS] / 6 + other[..., ACTIONS] * 5 / 6
-        np.testing.assert_allclose(last[..., ACTIONS], expected, atol=1e-6)
 
 
 def test_where_nobody_has_visited_anything_all_count_alike():

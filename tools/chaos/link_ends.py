@@ -22,7 +22,7 @@ from link_helpers import PARAMETERS, SHAPE, Recorder, drive, token
 
 from lockstep.client import serve
 from lockstep.errors import LinkError
-from lockstep.local import LocalFleet
+from lockstep.local import InProcessFleet
 from lockstep.server import LinkServer
 
 ROBOTS = 3
@@ -73,7 +73,7 @@ def run_server(host: str, ticks: int, timeout_s: float) -> None:
         return
     finally:
         server.close()
-    due = drive(LocalFleet([(block, Recorder(block))]), ROBOTS, ticks, EVERY)
+    due = drive(InProcessFleet([(block, Recorder(block))]), ROBOTS, ticks, EVERY)
     correct = len(seen) == len(due) and all(map(np.array_equal, seen, due))
     say(correct=correct, round_trips=len(due), elapsed_s=elapsed_s, longest_s=fleet.longest_s)
 

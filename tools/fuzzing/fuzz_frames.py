@@ -31,16 +31,7 @@ with atheris.instrument_imports(include=["lockstep", "json"]):
     from lockstep.errors import FrameError, LinkError, RobotFailed, RobotLost
     from lockstep.frame_stream import FrameStream
     from lockstep.frames import decode, encode
-    from lockstep.messages import (
-        PLAIN,
-        VERSION,
-        Actions,
-        Expect,
-        Hello,
-        Step,
-        Weights,
-        Welcome,
-    )
+    from lockstep.messages import PLAIN, VERSION, Actions, Expect, Hello, Step, Weights, Welcome
     from lockstep.server import LinkServer
     from lockstep.wire_format import HEADER, MAGIC, Kind
 
@@ -175,6 +166,7 @@ def seeds():
     yield encode(Actions(0, np.array([3], np.int32)))
     yield encode(Weights(1, np.zeros((1, *SHAPE), np.float32)))
     yield encode(Weights(1, np.zeros(SHAPE, np.float32)))
+    yield encode(Weights(1, np.zeros((1, 40), np.uint8)))  # packed
 
 
 def main():

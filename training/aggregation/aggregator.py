@@ -18,31 +18,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from enum import Enum
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from flwr.app import ArrayRecord
 from flwr.serverapp.strategy import FedAvg, Strategy
 
 from repeatable.isolation import within_flower
 from repeatable.kept import Kept
-from training.aggregation.flower_round import WeightRows, client_config, configure, one_round
+from training.aggregation.flower_round import WeightRows, one_round
 from training.aggregation.privacy import averaging, drawing_from
 from training.aggregation.uploads import check_uploads
 
 ONLINE, TARGET = slice(0, 1), slice(1, 2)
 """The rows of a robot's weights, shape (2, P)."""
-
-
-class Scope(Enum):
-    """What a strategy is applied to."""
-
-    PAIR = "pair"
-    """Online and target weights together: means, element-wise rules, selection rules."""
-    ONLINE = "online"
-    """Online weights; targets take the plain mean: server optimisers (momentum, Adam)."""
 
 
 class Aggregator:
@@ -57,7 +46,7 @@ class Aggregator:
         strategy: Strategy,
         robots: int,
         *,
-        scope: Scope = Scope.PAIR,
+        online: bool = False,
         who: str = "robot",
         partial: bool = False,
         noise: Callable[[int], np.random.Generator] | None = None,
@@ -69,30 +58,22 @@ class Aggregator:
                 part in each window: FedAvg's and its kin's sampling settings are overwritten. One
                 of another kind may ask fewer.
             robots: K, at least 1.
-            scope: what the strategy is applied to.
+            online: whether the strategy is applied to online weights alone, and targets take the
+                plain mean, as server optimisers (momentum, Adam) need; else to both together.
             who: what uploads, for messages.
             partial: whether fewer than ``robots`` may upload.
             noise: the generator of a window, for a strategy that draws from NumPy's global one.
         """
         if robots < 1:
             raise ValueError(f"{robots} {who}s: at least 1 is needed")
-        self._strategy = strategy
-        self._robots, self._who, self._partial = robots, who, partial
-        self._noise = noise
+        self._strategy, self._robots = strategy, robots
+        self._who, self._partial, self._noise = who, partial, noise
         self._parts: list[tuple[Strategy, slice]] = [(strategy, slice(None))]
-        if scope is Scope.ONLINE:
+        if online:
             self._parts = [(strategy, ONLINE), (FedAvg(), TARGET)]
         self._expect(robots)
         self._kept = Kept(strategy)
-        with within_flower():
-            messages = configure(strategy, 1, ArrayRecord(), robots)
-        self.restore({})
-        self._client_config = client_config(messages)
-
-    @property
-    def client_config(self) -> dict[str, float]:
-        """The strategy's configuration of clients, such as ``{"proximal-mu": 0.01}``."""
-        return dict(self._client_config)
+        self.restore({})  # as after a resume, in which no two attributes share an array
 
     def aggregate(self, window: int, current: WeightRows, uploads: WeightRows) -> WeightRows:
         """Aggregates one window.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -33,10 +32,11 @@ def one_round(
 
     Robots that a strategy does not ask have nothing to say.
     """
-    messages = configure(strategy, window, _record(current), len(uploads))
-    replies = [
+    grid = cast(Grid, _NodeList(len(uploads)))
+    messages = strategy.configure_train(window, _record(current), ConfigRecord(), grid)
+    replies = [  # by robot: Flower samples in random order
         _reply(strategy, message, _record(uploads[message.metadata.dst_node_id - 1]))
-        for message in messages
+        for message in sorted(messages, key=lambda message: message.metadata.dst_node_id)
     ]
     arrays, _ = strategy.aggregate_train(window, replies)
     if arrays is None:
@@ -47,13 +47,6 @@ def one_round(
         say = f"{given} where {{{_ARRAY!r}: {current.shape}}} is expected"
         raise ValueError(f"{type(strategy).__name__} gave arrays of shapes {say}")
     return found
-
-
-def configure(strategy: Strategy, window: int, arrays: ArrayRecord, robots: int) -> list[Message]:
-    """The messages of ``configure_train``, sorted by robot: Flower samples in random order."""
-    grid = cast(Grid, _NodeList(robots))
-    messages = strategy.configure_train(window, arrays, ConfigRecord(), grid)
-    return sorted(messages, key=lambda message: message.metadata.dst_node_id)
 
 
 def _reply(strategy: Strategy, message: Message, arrays: ArrayRecord) -> Message:
@@ -72,14 +65,3 @@ def _record(rows: WeightRows) -> ArrayRecord:
     record = ArrayRecord()
     record[_ARRAY] = Array(rows.astype(np.float64))
     return record
-
-
-def client_config(messages: Sequence[Message]) -> dict[str, float]:
-    """The configuration that a strategy's messages carry, without the number of the round."""
-    return {
-        key: float(value)
-        for message in messages[:1]
-        for config in message.content.config_records.values()
-        for key, value in config.items()
-        if key != "server-round" and isinstance(value, int | float)
-    }

@@ -22,36 +22,18 @@ from numpy.typing import NDArray
 
 from conf import StrategyConfig
 from env.seeding import Stream, stream
-from training.aggregation.uploads import check_uploads
 
 Weights = NDArray[np.float32]
 
 
 class Gossip:
-    """Mixes the robots' rows along a graph.
-
-    Args:
-        config: the group ``strategy``, with ``name=gossip``.
-        seed: the run's, for random graphs.
-    """
+    """Mixes the robots' rows along a graph; random ones are drawn from the run's seed."""
 
     def __init__(self, config: StrategyConfig, seed: int) -> None:
         self._config, self._seed = config, seed
 
     def mix(self, window: int, uploads: Weights) -> Weights:
-        """What each robot holds after a window.
-
-        Args:
-            window: the window's number, from 1.
-            uploads: shape (K, 2, P).
-
-        Returns:
-            Each robot's own, of the same shape.
-
-        Raises:
-            ValueError: an upload is absurd; the message names the robot.
-        """
-        check_uploads(window, uploads)
+        """What each robot holds after a window, from 1: (K, 2, P), as checked uploads."""
         matrix = metropolis(neighbours(self._config, len(uploads), self._seed, window))
         rows = uploads.astype(np.float64)
         mixed = np.zeros_like(rows)
@@ -65,12 +47,6 @@ def neighbours(config: StrategyConfig, robots: int, seed: int, window: int) -> N
 
     On a random graph each robot picks ``degree`` others, and an edge stands where either picked
     the other.
-
-    Args:
-        config: the group ``strategy``.
-        robots: K.
-        seed: the run's.
-        window: the window's number.
     """
     edges = np.zeros((robots, robots), dtype=bool)
     everybody = np.arange(robots)
@@ -90,11 +66,7 @@ def neighbours(config: StrategyConfig, robots: int, seed: int, window: int) -> N
 
 
 def metropolis(edges: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """The doubly stochastic matrix of a graph, shape (K, K).
-
-    Args:
-        edges: symmetric, without loops, shape (K, K).
-    """
+    """The doubly stochastic matrix of a graph's edges, as ``neighbours`` has them, (K, K)."""
     degree = [int(count) for count in edges.sum(axis=1)]
     matrix = np.zeros(edges.shape)
     for robot, row in enumerate(edges):

@@ -33,10 +33,7 @@ def register_strategy(name: str, make: Callable[..., Strategy]) -> None:
 
 
 def own_strategy(config: StrategyConfig) -> Strategy:
-    """A fresh strategy.
-
-    Args:
-        config: the group ``strategy``, with ``name=own``.
+    """A fresh strategy of the group ``strategy`` with ``name=own``.
 
     Raises:
         PluginError: it is not there, does not load, does not take the options, or is no strategy.
@@ -56,12 +53,9 @@ def own_strategy(config: StrategyConfig) -> Strategy:
 
 
 def try_out(config: StrategyConfig, count: int, *, in_this_process: bool) -> None:
-    """Lets a strategy average a few weights once.
+    """Lets a strategy average a few weights, of so many uploads, once.
 
-    Args:
-        config: the group ``strategy``, with ``name=own``.
-        count: how many upload.
-        in_this_process: whether the run is played here, where names may be registered.
+    Names may be registered where the run is played ``in_this_process``.
 
     Raises:
         PluginError: see ``own_strategy``; or it fails.

@@ -47,13 +47,7 @@ class AdaptiveClipping(DifferentialPrivacyServerSideAdaptiveClipping):
 
 
 def protected(strategy: Strategy, dp: PrivacyConfig, robots: int) -> Strategy:
-    """A strategy with the central privacy that a run asks for, or the strategy itself.
-
-    Args:
-        strategy: a plain mean.
-        dp: the group ``strategy.dp``, checked.
-        robots: K.
-    """
+    """A plain mean of K robots with the central privacy that ``strategy.dp`` asks for, if any."""
     clip = np.float64(dp.clip)  # of NumPy: over the norm of a robot that did not move it is inf
     if dp.name == "central":
         return DifferentialPrivacyServerSideFixedClipping(strategy, dp.noise, clip, robots)

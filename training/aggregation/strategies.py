@@ -24,7 +24,7 @@ from flwr.serverapp.strategy import (
 
 from conf import StrategyConfig
 from env.seeding import Stream, stream
-from training.aggregation.aggregator import Aggregator, Scope
+from training.aggregation.aggregator import Aggregator
 from training.aggregation.own import own_strategy
 from training.aggregation.privacy import protected
 
@@ -61,66 +61,31 @@ def build_aggregator(
     return Aggregator(
         protected(build(config), config.dp, robots),
         robots,
-        scope=Scope.ONLINE if online else Scope.PAIR,
+        online=online,
         who=who,
         partial=partial,
         noise=functools.partial(stream, seed, Stream.PRIVACY) if noised else None,
     )
 
 
-def _fedavg(config: StrategyConfig) -> FedAvg:
-    return FedAvg()
-
-
-def _fedprox(config: StrategyConfig) -> FedAvg:
-    return FedProx(proximal_mu=config.proximal_mu)
-
-
-def _krum(config: StrategyConfig) -> FedAvg:
-    return Krum(num_malicious_nodes=config.malicious)
-
-
-def _multikrum(config: StrategyConfig) -> FedAvg:
-    return MultiKrum(num_malicious_nodes=config.malicious, num_nodes_to_select=config.selected)
-
-
-def _bulyan(config: StrategyConfig) -> FedAvg:
-    return Bulyan(num_malicious_nodes=config.malicious)
-
-
-def _fedavgm(config: StrategyConfig) -> FedAvg:
-    return FedAvgM(server_learning_rate=config.server_rate, server_momentum=config.momentum)
-
-
-def _fedadam(config: StrategyConfig) -> FedAvg:
-    return FedAdam(
-        eta=config.server_rate, beta_1=config.beta_1, beta_2=config.beta_2, tau=config.tau
-    )
-
-
-def _fedmedian(config: StrategyConfig) -> FedAvg:
-    return FedMedian()
-
-
-def _fedtrimmedavg(config: StrategyConfig) -> FedAvg:
-    return FedTrimmedAvg(beta=config.trim)
-
-
 STRATEGIES: dict[str, Callable[[StrategyConfig], Strategy] | None] = {
-    "fedavg": _fedavg,
-    "fedavgm": _fedavgm,
-    "fedadam": _fedadam,
-    "fedmedian": _fedmedian,
-    "fedtrimmedavg": _fedtrimmedavg,
-    "fedprox": _fedprox,
+    "fedavg": lambda _: FedAvg(),
+    "fedavgm": lambda c: FedAvgM(server_learning_rate=c.server_rate, server_momentum=c.momentum),
+    "fedadam": lambda c: FedAdam(eta=c.server_rate, beta_1=c.beta_1, beta_2=c.beta_2, tau=c.tau),
+    "fedmedian": lambda _: FedMedian(),
+    "fedtrimmedavg": lambda c: FedTrimmedAvg(beta=c.trim),
+    "fedprox": lambda c: FedProx(proximal_mu=c.proximal_mu),
     "gossip": None,
-    "krum": _krum,
-    "multikrum": _multikrum,
-    "bulyan": _bulyan,
+    "krum": lambda c: Krum(num_malicious_nodes=c.malicious),
+    "multikrum": lambda c: MultiKrum(
+        num_malicious_nodes=c.malicious, num_nodes_to_select=c.selected
+    ),
+    "bulyan": lambda c: Bulyan(num_malicious_nodes=c.malicious),
     "own": own_strategy,
     "visits": None,
     "none": None,
 }
+"""Makes each of Flower's from the group ``strategy``."""
 
 SERVER_OPTIMISERS = {"fedavgm", "fedadam"}
-"""These are applied to the online weights alone, see ``Scope``."""
+"""These are applied to the online weights alone."""

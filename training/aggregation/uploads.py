@@ -14,16 +14,16 @@ def check_uploads(
     who: str = "robot",
     robots: NDArray[np.intp] | None = None,
 ) -> None:
-    """Refuses uploads of absurd weights.
+    """Refuses weights that are not finite or beyond ``WEIGHT_LIMIT``.
 
     Args:
-        window: the window's number.
+        window: its number.
         uploads: a row each, shape (K, 2, P).
         who: what uploads, for the message.
         robots: whose each row is, ascending; row k is robot k's if None.
 
     Raises:
-        ValueError: a weight is not finite or beyond ``WEIGHT_LIMIT``; the message names whose.
+        ValueError: there are such; the message names whose.
     """
     largest = [magnitude(upload) for upload in uploads]
     if absurd := [k for k, value in enumerate(largest) if not value <= WEIGHT_LIMIT]:

@@ -8,7 +8,6 @@ A network has no row for a state, but it has one output for each action. So this
 the output layer's numbers of an action are averaged by how often each robot took that action, all
 others by n_k, and weights are proportional to counts where the table's grow exponentially.
 
-With a dueling head the advantage of an action counts by the action and the state's value by n_k.
 Where nobody has visited anything, all count alike.
 
 No strategy of Flower's weighs one network number by number, so the sum is made here: of float64
@@ -26,24 +25,18 @@ Weights = NDArray[np.float32]
 
 
 class VisitMean:
-    """Averages networks by visits.
-
-    Args:
-        shape: of the robots' networks.
-    """
+    """Averages networks by visits."""
 
     def __init__(self, shape: NetworkShape) -> None:
         counted = np.zeros(shape.parameters, np.float32)
-        shape.matrices(counted)[-1][:, : shape.actions] = 1 + np.arange(shape.actions)
+        shape.matrices(counted)[-1][:] = 1 + np.arange(shape.actions)
         self._counted = counted.astype(np.intp)
         """What a number counts by: 0 is all transitions, 1 + a is action a."""
 
     def mean(self, uploads: Weights, actions: NDArray[np.int64]) -> Weights:
-        """The network that all robots take, shape (2, P).
+        """The network that all robots take, shape (2, P), from uploads of shape (H, 2, P).
 
-        Args:
-            uploads: shape (H, 2, P).
-            actions: how often each of these robots took each action, shape (H, actions).
+        ``actions`` is how often each of these robots took each action, shape (H, actions).
         """
         counts = np.column_stack([actions.sum(axis=1), actions]).astype(np.float64)
         counts[:, counts.sum(axis=0) == 0] = 1.0

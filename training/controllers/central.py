@@ -18,6 +18,7 @@ from conf import Config, central_heads, robot_actions
 from env.world import StepResult
 from lockstep import Expect, Flag
 from training.controllers.access_point import NetworkAgent
+from training.controllers.service import Actions, States
 
 DRIVING = np.uint16(Flag.DRIVING)
 _Value = TypeVar("_Value", bound=np.generic)
@@ -25,10 +26,6 @@ _Value = TypeVar("_Value", bound=np.generic)
 
 class CommandedFleet:
     """A ``Fleet`` of robots without networks, which follow the one agent's orders.
-
-    Args:
-        robots: K.
-        worlds: E.
 
     Attributes:
         driving: which robots are driving, shape (E, K).
@@ -63,36 +60,17 @@ class CommandedFleet:
 
 
 class CentralAgent(NetworkAgent):
-    """A ``RisController`` that commands the robots, too.
-
-    Args:
-        config: the run's configuration.
-
-    Attributes:
-        fleet: the robots.
-    """
+    """A ``RisController`` that commands the robots, too: its ``fleet``."""
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
         self.fleet = CommandedFleet(config.env.robots, config.train.worlds)
 
     @abstractmethod
-    def _decide(
-        self, state: NDArray[np.float32], epsilon: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _decide(self, state: States, epsilon: float) -> tuple[Actions, Actions]:
         """Its own actions, (E,), and those of the robots, (E, K), of any value if not driving."""
 
-    @abstractmethod
-    def learn(
-        self,
-        state: NDArray[np.float32],
-        action: NDArray[np.int64],
-        outcome: StepResult,
-        next_observation: NDArray[np.float32],
-    ) -> None:
-        """See ``RisController.learn``."""
-
-    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
+    def act(self, state: States, tick: int) -> Actions:
         """See ``RisController.act``: decides for the robots, too."""
         action, orders = self._decide(state, epsilon_at(self._epsilon, tick))
         self.fleet.orders = np.where(self.fleet.driving, orders, NO_ACTION).astype(np.int32)
@@ -108,27 +86,17 @@ class JointAgent(CentralAgent):
     agent: DQN
 
     def _new_agent(self, generator: np.random.Generator) -> DQN:
-        discount, worlds = self._config.agent.discount.robot, self._config.train.worlds
-        self._always = np.ones(worlds, dtype=bool)
-        return DQN(self.shape, self._config.agent, discount, [generator], worlds=worlds)
+        return self._new_dqn(self._config.agent.discount.robot, generator)
 
-    def _decide(
-        self, state: NDArray[np.float32], epsilon: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        space, robots = robot_actions(self._config), self._config.env.robots
+    def _decide(self, state: States, epsilon: float) -> tuple[Actions, Actions]:
         self._joint = self.agent.act(state, epsilon, self._always)
+        space, robots = robot_actions(self._config), self._config.env.robots
         return space.joint_decode(self._joint.astype(np.int64), robots)
 
-    def learn(
-        self,
-        state: NDArray[np.float32],
-        action: NDArray[np.int64],
-        outcome: StepResult,
-        next_observation: NDArray[np.float32],
-    ) -> None:
+    def learn(self, state: States, action: Actions, outcome: StepResult, seen: States) -> None:
         """See ``RisController.learn``."""
         reward, ended = joint_reward(outcome, self._config.scheme.global_share), outcome.terminated
-        self.agent.learn(state, self._joint, reward, next_observation, ended, self._always)
+        self.agent.learn(state, self._joint, reward, seen, ended, self._always)
 
 
 class BranchingAgent(CentralAgent):
@@ -145,27 +113,19 @@ class BranchingAgent(CentralAgent):
         heads, worlds = central_heads(self._config), self._config.train.worlds
         return BranchingDQN(self.shape, heads, self._config.agent, generator, worlds)
 
-    def _decide(
-        self, state: NDArray[np.float32], epsilon: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _decide(self, state: States, epsilon: float) -> tuple[Actions, Actions]:
         self._parts = self.agent.choose(state, epsilon, _with_own(True, self.fleet.driving))
         parts = self._parts.astype(np.int64)
         return parts[:, 0], parts[:, 1:]
 
-    def learn(
-        self,
-        state: NDArray[np.float32],
-        action: NDArray[np.int64],
-        outcome: StepResult,
-        next_observation: NDArray[np.float32],
-    ) -> None:
+    def learn(self, state: States, action: Actions, outcome: StepResult, seen: States) -> None:
         """See ``RisController.learn``."""
         rewards = _with_own(outcome.global_reward, outcome.local_reward)
         if self.agent.heads.shared:
             rewards[:] = joint_reward(outcome, self._config.scheme.global_share)[:, None]
         active = _with_own(True, outcome.drove)
         ended = _with_own(outcome.terminated, outcome.arrived)
-        self.agent.learn(state, self._parts, rewards, next_observation, ended, active)
+        self.agent.learn(state, self._parts, rewards, seen, ended, active)
 
 
 def _with_own(own: ArrayLike, robots: NDArray[_Value]) -> NDArray[_Value]:
@@ -176,13 +136,8 @@ def _with_own(own: ArrayLike, robots: NDArray[_Value]) -> NDArray[_Value]:
 
 
 def joint_reward(outcome: StepResult, global_share: float) -> NDArray[np.float64]:
-    """Baseline 1's reward, sum_k r_{L,k} + r_G / 10.
+    """Baseline 1's reward, sum_k r_{L,k} + r_G / 10, of B worlds, shape (B,).
 
-    Args:
-        outcome: of B worlds.
-        global_share: of r_G, the paper's 1 / 10.
-
-    Returns:
-        The reward, shape (B,).
+    ``global_share`` stands for the paper's 1 / 10.
     """
     return np.asarray(outcome.local_reward.sum(axis=-1) + global_share * outcome.global_reward)

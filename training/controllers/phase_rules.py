@@ -14,7 +14,7 @@ from env.oracles import per_slot
 from env.seeding import Stream, stream
 from env.world import StepResult, World
 from storage.generators import generator_state, restore_generator
-from training.controllers.service import Served, Service
+from training.controllers.service import Actions, RisController, States
 
 PLACEMENTS = 2000
 """Random placements of the robots over which the best fixed phase is the best on average."""
@@ -24,14 +24,8 @@ def fixed_phase(world: World, map_seed: int) -> int:
     """The phase action with the largest mean sum of the metric over the floor.
 
     The mean is over random placements of K robots on the drivable floor, all driving, with
-    canonical powers: what can be known of a map without any task on it.
-
-    Args:
-        world: for its tables; not changed.
-        map_seed: the placements are the map's.
-
-    Returns:
-        The action; of equal ones the lowest.
+    canonical powers: what can be known of a map without any task on it. Placements are the map's;
+    of equal actions it is the lowest. Of the world only the tables are read.
     """
     generator = stream(map_seed, Stream.RADIO_MAP, 2)
     cells = np.flatnonzero(world.floor.drivable())
@@ -47,39 +41,25 @@ def fixed_phase(world: World, map_seed: int) -> int:
     return int(np.argmax([mean(phase) for phase in range(world.phase_actions)]))
 
 
-class PhaseRule:
+class PhaseRule(RisController):
     """An access point with a rule in the place of its DQN: it has no weights and learns nothing.
 
-    Args:
-        config: the run's configuration; ``scheme.phase`` is random, fixed or oracle.
-        world: whose RIS it steers.
+    By ``scheme.phase``: random, fixed, or an oracle's, the best once picks are known.
     """
 
     def __init__(self, config: Config, world: World) -> None:
-        self._rule, self._actions = config.scheme.phase, world.phase_actions
-        self._worlds = config.train.worlds
-        self._service = Service(config)
+        super().__init__(config)
+        self._actions, self._worlds = world.phase_actions, config.train.worlds
         self._generator = stream(config.seed, Stream.AP)
-        fixed = fixed_phase(world, config.env.map_seed) if self._rule == "fixed" else 0
-        self._fixed = np.full(self._worlds, fixed)
+        self._fixed = np.full(self._worlds, phase_of(config, world))
 
-    def act(self, state: NDArray[np.float32], tick: int) -> NDArray[np.int64]:
+    def act(self, state: States, tick: int) -> Actions:
         """See ``RisController.act``."""
-        if self._rule == "random":
+        if self._config.scheme.phase == "random":
             return self._generator.integers(self._actions, size=self._worlds)
         return self._fixed
 
-    def serve(self, world: World, action: NDArray[np.int64], picks: NDArray[np.int64]) -> Served:
-        """See ``RisController.serve``: an oracle's phase is the best once picks are known."""
-        return self._service(world, action, picks)
-
-    def learn(
-        self,
-        state: NDArray[np.float32],
-        action: NDArray[np.int64],
-        outcome: StepResult,
-        next_observation: NDArray[np.float32],
-    ) -> None:
+    def learn(self, state: States, action: Actions, outcome: StepResult, seen: States) -> None:
         """See ``RisController.learn``."""
 
     def weights(self) -> NDArray[np.float32]:
@@ -93,3 +73,8 @@ class PhaseRule:
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """See ``RisController.restore``."""
         restore_generator(self._generator, state["generator"])
+
+
+def phase_of(config: Config, world: World) -> int:
+    """The phase action of ``scheme.phase=fixed``; 0 where another rule sets phases."""
+    return fixed_phase(world, config.env.map_seed) if config.scheme.phase == "fixed" else 0

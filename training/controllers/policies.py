@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import NetworkShape, q_values
+from agent import q_values
 from conf import Config, ap_network, central_heads, robot_actions, robot_network
 from env.oracles import per_slot
 from env.seeding import Stream, stream
 from env.world import World
-from training.controllers.phase_rules import fixed_phase
-from training.controllers.service import Service
+from training.controllers.phase_rules import phase_of
+from training.controllers.service import Actions, Service
 
 
 class PolicyWeights(NamedTuple):
@@ -27,9 +27,9 @@ class PolicyWeights(NamedTuple):
 class Decision(NamedTuple):
     """Phase settings, shape (B,), and the robots' directions and power levels, shape (B, K)."""
 
-    phase: NDArray[np.int64]
-    direction: NDArray[np.int64]
-    level: NDArray[np.int64]
+    phase: Actions
+    direction: Actions
+    level: Actions
 
 
 class Exploration:
@@ -37,7 +37,7 @@ class Exploration:
 
     Args:
         seed: of the evaluation.
-        epsilons: a block's probability of a random action, for each block.
+        epsilons: each block's probability of a random action.
         episodes: worlds in a block.
     """
 
@@ -50,36 +50,34 @@ class Exploration:
         self._episodes = episodes
         self._phases = [stream(seed, Stream.EVALUATION, 3) for _ in epsilons]
 
-    def __call__(self, greedy: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    def __call__(self, greedy: Actions, count: int) -> Actions:
         """Replaces a share of the actions, shape (B, ...), by random ones below ``count``."""
         for worlds, epsilon, generator in self._blocks:
-            block = greedy[worlds]
-            random = generator.integers(count, size=block.shape)
-            greedy[worlds] = np.where(generator.random(block.shape) < epsilon, random, block)
+            greedy[worlds] = explored(greedy[worlds], count, epsilon, generator)
         return greedy
 
-    def phases(self, count: int) -> NDArray[np.int64]:
+    def phases(self, count: int) -> Actions:
         """Random phase actions below ``count`` whatever epsilon is, shape (B,)."""
         drawn = [one.integers(count, size=self._episodes) for one in self._phases]
         return np.concatenate(drawn)
+
+
+def explored(best: Actions, count: int, epsilon: float, generator: np.random.Generator) -> Actions:
+    """Replaces a share epsilon of actions by random ones below ``count``."""
+    random = generator.integers(count, size=best.shape)
+    return np.asarray(np.where(generator.random(best.shape) < epsilon, random, best))
 
 
 Policy = Callable[[World, PolicyWeights, Exploration], Decision]
 
 
 def frozen_policy(config: Config, world: World) -> Policy:
-    """How a run's scheme decides.
-
-    Args:
-        config: the run's configuration.
-        world: one with the tables of those that will be played in; not changed.
-    """
-    made: dict[str, type[_Joint] | type[_Heads]] = {"centralized": _Joint, "branching": _Heads}
-    if config.scheme.agents != "federated":
-        return made[config.scheme.agents](config)
-    if config.scheme.phase != "learned":
-        return _Ruled(config, world)
-    return _Federated(config)
+    """How a run's scheme decides, in worlds with the tables of this one, which is not changed."""
+    if config.scheme.agents == "centralized":
+        return _Joint(config)
+    if config.scheme.agents == "branching":
+        return _Heads(config)
+    return _Federated(config) if config.scheme.phase == "learned" else _Ruled(config, world)
 
 
 class RobotNetworks:
@@ -90,12 +88,12 @@ class RobotNetworks:
 
     def __call__(
         self, local: NDArray[np.float32], weights: NDArray[np.float32], exploration: Exploration
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    ) -> tuple[Actions, Actions]:
         """Directions and power picks for states (B, K, local_size)."""
         action = exploration(self.best(local, weights), self._shape.actions)
         return self._actions.decode(action)
 
-    def best(self, local: NDArray[np.float32], weights: NDArray[np.float32]) -> NDArray[np.int64]:
+    def best(self, local: NDArray[np.float32], weights: NDArray[np.float32]) -> Actions:
         """Greedy actions, shape (B, K)."""
         worlds, count, size = local.shape
         if len(weights) == 1:
@@ -105,32 +103,49 @@ class RobotNetworks:
         return np.asarray(q_values(self._shape, weights, by_robot).argmax(axis=-1).T)
 
 
-class _Federated:
+class _Scheme:
+    """What schemes have in common: networks, and what is served once all have decided."""
+
+    def __init__(self, config: Config) -> None:
+        self._config, self._service = config, Service(config)
+        self._ap, self._actions = ap_network(config), robot_actions(config)
+
+    def _values(self, weights: PolicyWeights, state: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Values of the access point's network, (B, actions), on states (B, global_size)."""
+        return np.asarray(q_values(self._ap, weights.ap[None], state[None])[0])
+
+    def _decided(
+        self, world: World, action: Actions, direction: Actions, picks: Actions
+    ) -> Decision:
+        """What comes of the access point's actions, (B,), and the robots' directions and picks."""
+        phase, level = self._service(world, action, picks)
+        return Decision(phase, direction, level)
+
+
+class _Federated(_Scheme):
     """F-DRL: the access point's network, and the robots'."""
 
     def __init__(self, config: Config) -> None:
-        self._ap, self._robots = ap_network(config), RobotNetworks(config)
-        self._service = Service(config)
+        super().__init__(config)
+        self._robots = RobotNetworks(config)
 
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         local = world.local_observations()
-        values = _values(self._ap, weights.ap, world.global_observation(local))
-        action = exploration(np.asarray(values.argmax(axis=-1)), self._ap.actions)
-        direction, picks = self._robots(local, weights.robots, exploration)
-        return _decided(self._service, world, action, direction, picks)
+        values = self._values(weights, world.global_observation(local))
+        action = exploration(values.argmax(axis=-1), self._ap.actions)
+        return self._decided(world, action, *self._robots(local, weights.robots, exploration))
 
 
-class _Ruled:
+class _Ruled(_Scheme):
     """A rule sets the phases: nothing of it is left to chance but what the rule itself draws.
 
     The robots have their networks, or drive shortest ways with powers by rank or the best ones.
     """
 
     def __init__(self, config: Config, world: World) -> None:
+        super().__init__(config)
         self._rule, self._drive = config.scheme.phase, config.scheme.robots
-        self._robots, self._service = RobotNetworks(config), Service(config)
-        fixed = fixed_phase(world, config.env.map_seed) if self._rule == "fixed" else 0
-        self._fixed = np.array(fixed)
+        self._robots, self._fixed = RobotNetworks(config), np.array(phase_of(config, world))
 
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
         if self._drive == "shortest_best":
@@ -141,12 +156,11 @@ class _Ruled:
         if self._rule == "random":
             phase = exploration.phases(world.phase_actions)
         if self._drive == "learned":
-            local = world.local_observations()
-            direction, picks = self._robots(local, weights.robots, exploration)
-            return _decided(self._service, world, phase, direction, picks)
+            decided = self._robots(world.local_observations(), weights.robots, exploration)
+            return self._decided(world, phase, *decided)
         return self._by_rank(world, phase)
 
-    def _by_rank(self, world: World, phase: NDArray[np.int64]) -> Decision:
+    def _by_rank(self, world: World, phase: Actions) -> Decision:
         """Shortest ways with canonical powers, which follow from the phase."""
         levels, direction = world.config.power.levels, per_slot.shortest_directions(world)
         gains, driving = per_slot.phase_gains(world), world.driving[:, None]
@@ -156,50 +170,26 @@ class _Ruled:
         return Decision(phase, direction, by_phase[np.arange(len(phase)), phase])
 
 
-class _Joint:
+class _Joint(_Scheme):
     """A centralized DQN: its one action is random as a whole, or not at all."""
 
-    def __init__(self, config: Config) -> None:
-        self._shape, self._service = ap_network(config), Service(config)
-        self._robots, self._actions = config.env.robots, robot_actions(config)
-
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
-        values = _values(self._shape, weights.ap, world.global_observation())
-        joint = exploration(np.asarray(values.argmax(axis=-1)), self._shape.actions)
-        action, robots = self._actions.joint_decode(joint, self._robots)
-        return _decided(self._service, world, action, *self._actions.decode(robots))
+        values = self._values(weights, world.global_observation())
+        joint = exploration(values.argmax(axis=-1), self._ap.actions)
+        action, robots = self._actions.joint_decode(joint, self._config.env.robots)
+        return self._decided(world, action, *self._actions.decode(robots))
 
 
-class _Heads:
+class _Heads(_Scheme):
     """One network with several heads: each explores by itself, as agents of their own do."""
 
     def __init__(self, config: Config) -> None:
-        self._shape, self._heads = ap_network(config), central_heads(config)
-        self._actions, self._service = robot_actions(config), Service(config)
+        super().__init__(config)
+        self._heads = central_heads(config)
 
     def __call__(self, world: World, weights: PolicyWeights, exploration: Exploration) -> Decision:
-        values = _values(self._shape, weights.ap, world.global_observation())
+        values = self._values(weights, world.global_observation())
         best, (own, each) = self._heads.best(values), self._heads.sizes[:2]
         action = exploration(best[:, 0].copy(), own)
         robots = exploration(best[:, 1:].copy(), each)
-        return _decided(self._service, world, action, *self._actions.decode(robots))
-
-
-def _decided(
-    service: Service,
-    world: World,
-    action: NDArray[np.int64],
-    direction: NDArray[np.int64],
-    picks: NDArray[np.int64],
-) -> Decision:
-    """What comes of the access point's actions, (B,), and the robots' directions and picks."""
-    phase, level = service(world, action, picks)
-    return Decision(phase, direction, level)
-
-
-def _values(
-    shape: NetworkShape, weights: NDArray[np.float32], state: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Values of one network, (B, actions), on states (B, global_size)."""
-    values: NDArray[np.float32] = q_values(shape, weights[None], state[None])[0]
-    return values
+        return self._decided(world, action, *self._actions.decode(robots))

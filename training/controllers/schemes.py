@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from conf import Config
 from env.world import World
-from training.controllers.access_point import AccessPoint, RisController
+from training.controllers.access_point import AccessPoint
 from training.controllers.central import BranchingAgent, CentralAgent, JointAgent
 from training.controllers.phase_rules import PhaseRule
+from training.controllers.service import RisController
 
 
 def build_ris_controller(config: Config, world: World) -> RisController:
-    """Who steers the RIS, as the run begins; a ``CentralAgent`` commands the robots, too.
-
-    Args:
-        config: the run's configuration.
-        world: whose RIS it is.
-    """
+    """Who steers the RIS, as the run begins; a ``CentralAgent`` commands the robots, too."""
     if config.scheme.agents != "federated":
         return build_central(config)
     if config.scheme.phase != "learned":

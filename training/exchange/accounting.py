@@ -36,12 +36,8 @@ _STEPS = 200
 def spent(config: Config, releases: int) -> dict[str, Any] | None:
     """What ``summary.json`` says of a run's privacy; None where it asks for none.
 
-    Args:
-        config: the run's configuration.
-        releases: windows, whether or not a robot was heard in each.
-
-    Returns:
-        Words and numbers; ``epsilon`` is None where there is no noise, or as good as none.
+    Releases are windows, whether or not a robot was heard in each. ``epsilon`` is None where there
+    is no noise, or as good as none.
     """
     dp = config.strategy.dp
     if dp.name == "none":

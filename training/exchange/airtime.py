@@ -28,11 +28,7 @@ COUNTED = ("ee", "ee_bits_per_joule")
 
 
 class Airtime:
-    """Adds up the slots and joules of a run's exchanges.
-
-    Args:
-        config: the run's configuration, of robots that learn.
-    """
+    """Adds up the slots and joules of the exchanges of a run whose robots learn."""
 
     def __init__(self, config: Config) -> None:
         env = config.env
@@ -49,12 +45,7 @@ class Airtime:
         self._ticks = 0
 
     def add(self, facts: WindowFacts, asked: NDArray[np.intp]) -> None:
-        """Counts the exchange at a window's end.
-
-        Args:
-            facts: of the window.
-            asked: the robots that send, shape (M,).
-        """
+        """Counts the exchange at a window's end, in which the robots that are asked send, (M,)."""
         took_s = (self._up_s / self._rates(facts.channel_db)[asked]).sum()
         took_s += self._down_s / self._rates(facts.channel_db).min()
         self._slots += float(took_s) / self._slot_s

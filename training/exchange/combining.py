@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +25,10 @@ Weights = NDArray[np.float32]
 State = dict[str, NDArray[Any]]
 
 
-class Combiner(Protocol):
-    """Combines the networks of a window."""
+class Combiner(ABC):
+    """Combines the networks of a window; keeps nothing, and looks at weights alone, by default."""
 
-    def observed(self, updates: np.ndarray) -> None:
-        """Takes notice of the records of a step, shape (K E,)."""
-        ...
-
+    @abstractmethod
     def combine(self, window: int, given: Weights, heard: Heard, facts: WindowFacts) -> Weights:
         """What robots go on from, shape (2, P), or each its own, (K, 2, P).
 
@@ -40,32 +38,19 @@ class Combiner(Protocol):
             heard: the uploads that count, of at least one robot.
             facts: of the window.
         """
-        ...
+
+    def observed(self, updates: np.ndarray) -> None:  # noqa: B027 - most look at weights alone
+        """Takes notice of the records of a step, shape (K E,)."""
 
     def state(self) -> State:
         """What it keeps between windows."""
-        ...
-
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes back what ``state`` gave."""
-        ...
-
-
-class Stateless:
-    """A combiner that keeps nothing and looks at weights alone."""
-
-    def observed(self, updates: np.ndarray) -> None:
-        """See ``Combiner.observed``."""
-
-    def state(self) -> State:
-        """See ``Combiner.state``."""
         return {}
 
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """See ``Combiner.restore``."""
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:  # noqa: B027 - as above
+        """Takes back what ``state`` gave."""
 
 
-class Averaged:
+class Averaged(Combiner):
     """A Flower strategy over networks, or over what robots share of them.
 
     Args:
@@ -103,12 +88,8 @@ class Averaged:
             self._own.restore(part(state, "own"))
 
 
-class Gossiped(Stateless):
-    """Robots that mix with their neighbours.
-
-    Args:
-        gossip: along which graph.
-    """
+class Gossiped(Combiner):
+    """Robots that mix with their neighbours."""
 
     def __init__(self, gossip: Gossip) -> None:
         self._gossip = gossip
@@ -120,12 +101,8 @@ class Gossiped(Stateless):
         return rows
 
 
-class ByVisits(Stateless):
-    """Robots that count by what they have visited in the window.
-
-    Args:
-        mean: over their networks.
-    """
+class ByVisits(Combiner):
+    """Robots that count by what they have visited in the window."""
 
     def __init__(self, mean: VisitMean) -> None:
         self._mean = mean

@@ -8,7 +8,6 @@ everybody as it is.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,25 +26,8 @@ from training.exchange.reception import Reception
 Weights = NDArray[np.float32]
 
 
-@dataclass(frozen=True, eq=False)
-class Exchanged:
-    """What a window's exchange came to.
-
-    Attributes:
-        model: what robots hold after it: all the same, shape (2, P), or each its own, (K, 2, P).
-        payload: what is sent to them for that.
-    """
-
-    model: Weights
-    payload: Payload
-
-
 class Federation:
     """Combines the robots' weights, window by window.
-
-    Args:
-        config: the run's configuration.
-        combiner: of its strategy.
 
     Attributes:
         airtime: what exchanges have taken of the access point's channel so far, where it has part.
@@ -56,10 +38,17 @@ class Federation:
         self._up, self._down = packing(config, robot_network(config).parameters)
         self._sender = None if self._down is None else PackedSender(self._down)
         self.airtime = None if config.strategy.name == "gossip" else Airtime(config)
+        parts: dict[str, Combiner | Reception | PackedSender | Airtime | None] = {
+            "combiner": combiner,
+            "reception": self._reception,
+            "sender": self._sender,
+            "airtime": self.airtime,
+        }
+        self._parts = {name: each for name, each in parts.items() if each is not None}
 
     def exchange(
         self, window: int, model: Weights, uploads: Payload, facts: WindowFacts
-    ) -> Exchanged:
+    ) -> tuple[Weights, Payload]:
         """Combines the uploads of a window.
 
         Args:
@@ -67,6 +56,10 @@ class Federation:
             model: what robots started the window from, shape (2, P) or (K, 2, P).
             uploads: of all K robots, plain or packed.
             facts: of the window.
+
+        Returns:
+            What robots hold after it: all the same, shape (2, P), or each its own, (K, 2, P); and
+            what is sent to them for that.
 
         Raises:
             ValueError: an upload is absurd; the message names the robot.
@@ -78,10 +71,13 @@ class Federation:
         check_uploads(window, heard.rows, robots=heard.robots)
         if self.airtime is not None:
             self.airtime.add(facts, heard.asked)
-        # where nobody was heard, robots are to hold what they held
-        heard_any = len(heard.robots) > 0
-        found = self._combiner.combine(window, given, heard, facts) if heard_any else model
-        return self._sent(model, found)
+        found = model  # where nobody was heard, robots are to hold what they held
+        if len(heard.robots):
+            found = self._combiner.combine(window, given, heard, facts)
+        if self._sender is None or self._down is None:
+            return found, found
+        payload = self._sender.send(model, found)
+        return self._down.added(model, payload), payload
 
     def observed(self, updates: np.ndarray) -> None:
         """Takes notice of the records that robots are sent in a step, shape (K E,)."""
@@ -99,37 +95,18 @@ class Federation:
                 raise ValueError(f"packed weights of robot {robot}: {error}") from error
         return np.stack(rows)
 
-    def _sent(self, before: Weights, model: Weights) -> Exchanged:
-        """A new model, as robots get it that hold ``before``."""
-        if self._sender is None or self._down is None:
-            return Exchanged(model, model)
-        payload = self._sender.send(before, model)
-        return Exchanged(self._down.added(before, payload), payload)
-
     def uploads(self) -> dict[str, int]:
         """How many uploads so far were heard, late, lost and not asked for."""
         return self._reception.counts()
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that it keeps between windows."""
-        sender = {} if self._sender is None else self._sender.state()
-        return flat(
-            {
-                "combiner": self._combiner.state(),
-                "sender": sender,
-                "reception": self._reception.state(),
-                "airtime": {} if self.airtime is None else self.airtime.state(),
-            }
-        )
+        return flat({name: each.state() for name, each in self._parts.items()})
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
-        self._combiner.restore(part(state, "combiner"))
-        self._reception.restore(part(state, "reception"))
-        if self.airtime is not None:
-            self.airtime.restore(part(state, "airtime"))
-        if self._sender is not None:
-            self._sender.restore(part(state, "sender"))
+        for name, each in self._parts.items():
+            each.restore(part(state, name))
 
 
 def build_federation(config: Config) -> Federation | None:

@@ -16,8 +16,9 @@ robots would keep them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +34,10 @@ Weights = NDArray[np.float32]
 State = Mapping[str, NDArray[Any]]
 
 
-class OwnParts(Protocol):
-    """Splits networks into what is shared and what is a robot's own."""
+class OwnParts(ABC):
+    """Splits networks into what is shared and what is a robot's own; keeps nothing by default."""
 
-    def observed(self, updates: np.ndarray) -> None:
-        """Takes notice of the records of a step, shape (K E,)."""
-        ...
-
+    @abstractmethod
     def shared(self, rows: Weights, robots: NDArray[np.intp]) -> Weights:
         """What is combined of robots' networks.
 
@@ -50,8 +48,8 @@ class OwnParts(Protocol):
         Returns:
             Shape (n, 2, P') with P' at most P.
         """
-        ...
 
+    @abstractmethod
     def merged(self, rows: Weights, combined: Weights) -> Weights:
         """All robots' networks with what was combined in them, shape (K, 2, P).
 
@@ -59,30 +57,23 @@ class OwnParts(Protocol):
             rows: what they had, shape (K, 2, P).
             combined: shape (2, P').
         """
-        ...
+
+    def observed(self, updates: np.ndarray) -> None:  # noqa: B027 - most look at weights alone
+        """Takes notice of the records of a step, shape (K E,)."""
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What it keeps between windows."""
-        ...
+        return {}
 
-    def restore(self, state: State) -> None:
+    def restore(self, state: State) -> None:  # noqa: B027 - as above
         """Takes back what ``state`` gave."""
-        ...
 
 
-class OwnLayers:
-    """Layers that are not combined.
-
-    Args:
-        shape: of the robots' networks.
-        own: ``heads``, ``trunk`` or ``input``.
-    """
+class OwnLayers(OwnParts):
+    """Layers that are not combined: ``heads``, ``trunk`` or ``input``."""
 
     def __init__(self, shape: NetworkShape, own: str) -> None:
         self._shared = shared_numbers(shape, own)
-
-    def observed(self, updates: np.ndarray) -> None:
-        """See ``OwnParts.observed``: nothing depends on it."""
 
     def shared(self, rows: Weights, robots: NDArray[np.intp]) -> Weights:
         """See ``OwnParts.shared``."""
@@ -94,21 +85,11 @@ class OwnLayers:
         found[..., self._shared] = combined
         return found
 
-    def state(self) -> dict[str, NDArray[Any]]:
-        """See ``OwnParts.state``."""
-        return {}
 
-    def restore(self, state: State) -> None:
-        """See ``OwnParts.restore``."""
-
-
-class OwnNormalisation:
+class OwnNormalisation(OwnParts):
     """First layers that are combined as they are on each robot's normalised observations.
 
     Statistics begin as those of one observation of mean 0 and variance 1.
-
-    Args:
-        config: the run's configuration.
     """
 
     def __init__(self, config: Config) -> None:
@@ -173,12 +154,7 @@ class OwnNormalisation:
 
 
 def shared_numbers(shape: NetworkShape, own: str) -> NDArray[np.bool_]:
-    """Which of a network's numbers are combined, shape (P,).
-
-    Args:
-        shape: of the network.
-        own: ``federation.own``.
-    """
+    """Which of a network's numbers are combined with this ``federation.own``, shape (P,)."""
     sizes = [(inputs + 1) * outputs for inputs, outputs in shape.layers]
     layer, last = np.repeat(np.arange(len(sizes)), sizes), len(sizes) - 1
     is_shared: dict[str, NDArray[np.bool_]] = {

@@ -40,12 +40,9 @@ class Packer(Protocol):
 
 
 def build_packer(kind: str, keep: float, blocks: Sequence[int]) -> Packer:
-    """Makes a packer.
+    """Makes the packer of a kind, as ``federation.compression`` has it, for blocks of numbers.
 
-    Args:
-        kind: ``none``, ``q8``, ``q4``, ``q1`` or ``topk``, as ``federation.compression`` has it.
-        keep: share of the numbers that ``topk`` sends.
-        blocks: how many numbers each block has.
+    ``keep`` is the share of the numbers that ``topk`` sends.
     """
     if kind == "none":
         return Floats(sum(blocks))
@@ -69,72 +66,81 @@ class Floats:
         return _numbers(packed, "<f4").astype(np.float32)
 
 
-class Quantiser:
-    """Numbers rounded to the nearest of 255 steps, or of 15, from -s to s.
+class Scaled:
+    """A float32 scale for each block of numbers, and then a few bits for each number."""
+
+    def __init__(self, blocks: Sequence[int], bits: int) -> None:
+        self._blocks = np.array(blocks, np.int64)
+        self._starts = np.cumsum(self._blocks) - self._blocks
+        self._head = 4 * len(blocks)
+        self.size = self._head + -(-int(self._blocks.sum()) * bits // 8)
+
+    def _joined(self, scales: Weights, body: Bytes) -> Bytes:
+        """What is packed: the scales of the blocks, and the numbers."""
+        return np.concatenate([np.ascontiguousarray(scales, "<f4").view(np.uint8), body])
+
+    def _parted(self, packed: Bytes) -> tuple[Weights, Bytes]:
+        """The scale of each number, shape (n,), checked, and what comes after the head."""
+        scales = _numbers(packed[: self._head], "<f4").astype(np.float32)
+        if len(wrong := scales[~(np.isfinite(scales) & (scales >= 0))]):
+            raise ValueError(f"a scale is {wrong[0]:g}, which is no finite number from 0 up")
+        return np.repeat(scales, self._blocks), packed[self._head :]
+
+
+class Quantiser(Scaled):
+    """Numbers rounded to the nearest of 255 steps, or of 15, from -s to s; in 8 bits, or in 4.
 
     The error is at most half a step: s / 254 with eight bits, s / 14 with four, where s is the
     largest magnitude of the number's block.
-
-    Args:
-        blocks: how many numbers each block has.
-        bits: 8 or 4.
     """
 
     def __init__(self, blocks: Sequence[int], bits: int) -> None:
-        self._scales, self._bits, self._most = Scales(blocks), bits, 2 ** (bits - 1) - 1
-        self.size = self._scales.size + -(-self._scales.numbers * bits // 8)
+        super().__init__(blocks, bits)
+        self._bits, self._most = bits, 2 ** (bits - 1) - 1
 
     def pack(self, values: Weights) -> Bytes:
         """See ``Packer.pack``."""
-        largest = np.maximum.reduceat(np.abs(values), self._scales.starts)
-        head, scale = self._scales.pack((largest / np.float32(self._most)).astype(np.float32))
+        largest = np.maximum.reduceat(np.abs(values), self._starts)
+        scales = (largest / np.float32(self._most)).astype(np.float32)
+        scale = np.repeat(scales, self._blocks)
         with np.errstate(invalid="ignore"):  # a NaN is seen by whoever unpacks its scale
             steps = np.rint(np.divide(values, scale, out=np.zeros_like(values), where=scale != 0))
         whole = np.clip(np.nan_to_num(steps), -self._most, self._most).astype(np.int8)
-        return np.concatenate([head, whole.view(np.uint8) if self._bits == 8 else _halved(whole)])
+        return self._joined(scales, whole.view(np.uint8) if self._bits == 8 else _halved(whole))
 
     def unpack(self, packed: Bytes) -> Weights:
         """See ``Packer.unpack``."""
-        scale, rest = self._scales.unpack(packed)
+        scale, rest = self._parted(packed)
         steps = rest.view(np.int8) if self._bits == 8 else _doubled(rest, len(scale))
         with np.errstate(over="ignore"):  # of a scale that no honest robot has
             return steps.astype(np.float32) * scale
 
 
-class Signs:
+class Signs(Scaled):
     """The sign of each number, and the mean magnitude of its block (Karimireddy et al., 2019).
 
     With error feedback this scaled sign converges at the rate of plain SGD (arXiv:1901.09847,
     Theorem II); without, it need not.
-
-    Args:
-        blocks: how many numbers each block has.
     """
 
     def __init__(self, blocks: Sequence[int]) -> None:
-        self._scales = Scales(blocks)
-        self.size = self._scales.size + -(-self._scales.numbers // 8)
+        super().__init__(blocks, bits=1)
 
     def pack(self, values: Weights) -> Bytes:
         """See ``Packer.pack``."""
-        sums = np.add.reduceat(np.abs(values).astype(np.float64), self._scales.starts)
-        head, _ = self._scales.pack((sums / self._scales.blocks).astype(np.float32))
-        return np.concatenate([head, np.packbits(values >= 0)])
+        sums = np.add.reduceat(np.abs(values).astype(np.float64), self._starts)
+        return self._joined((sums / self._blocks).astype(np.float32), np.packbits(values >= 0))
 
     def unpack(self, packed: Bytes) -> Weights:
         """See ``Packer.unpack``."""
-        scale, rest = self._scales.unpack(packed)
+        scale, rest = self._parted(packed)
         return np.where(np.unpackbits(rest, count=len(scale)) != 0, scale, -scale)
 
 
 class TopK:
     """The numbers of largest magnitude with their places; all others are 0 (Stich et al., 2018).
 
-    Of equal magnitudes the first is sent (arXiv:1809.07599).
-
-    Args:
-        numbers: n.
-        keep: the share of them that is sent, of which at least one is.
+    Of equal magnitudes the first is sent (arXiv:1809.07599). At least one is.
     """
 
     def __init__(self, numbers: int, keep: float) -> None:
@@ -158,38 +164,6 @@ class TopK:
         values = np.zeros(self._all, np.float32)
         values[places] = _numbers(packed[at:], "<f4")
         return values
-
-
-class Scales:
-    """A float32 for each block of numbers, at the head of what is packed.
-
-    Attributes:
-        blocks: how many numbers each block has, shape (blocks,).
-        numbers: in all, n.
-        starts: where each block begins, shape (blocks,).
-        size: of the head in bytes.
-    """
-
-    def __init__(self, blocks: Sequence[int]) -> None:
-        self.blocks = np.array(blocks, np.int64)
-        self.numbers, self.size = int(self.blocks.sum()), 4 * len(blocks)
-        self.starts = np.cumsum(self.blocks) - self.blocks
-
-    def pack(self, scales: Weights) -> tuple[Bytes, Weights]:
-        """The head, and the scale of each number, shape (n,)."""
-        return np.ascontiguousarray(scales, "<f4").view(np.uint8), np.repeat(scales, self.blocks)
-
-    def unpack(self, packed: Bytes) -> tuple[Weights, Bytes]:
-        """The scale of each number, shape (n,), and what comes after the head.
-
-        Raises:
-            ValueError: a scale is none.
-        """
-        scales = _numbers(packed[: self.size], "<f4").astype(np.float32)
-        if not (np.isfinite(scales) & (scales >= 0)).all():
-            wrong = scales[~(np.isfinite(scales) & (scales >= 0))][0]
-            raise ValueError(f"a scale is {wrong:g}, which is no finite number from 0 up")
-        return np.repeat(scales, self.blocks), packed[self.size :]
 
 
 def _numbers(packed: Bytes, kind: str | np.dtype[np.unsignedinteger]) -> NDArray[np.generic]:

@@ -34,20 +34,12 @@ class Packing:
     """
 
     def __init__(self, packer: Packer, parameters: int, *, targets: bool) -> None:
-        self._packer, self.targets, self.size = packer, targets, packer.size
+        self.packer, self.targets, self.size = packer, targets, packer.size
         self.numbers = (2 if targets else 1) * parameters
 
     def difference(self, given: Weights, weights: Weights) -> Weights:
         """What is to be sent of weights whose receiver holds ``given``, shape (numbers,)."""
         return (weights - given).ravel()[: self.numbers]
-
-    def pack(self, values: Weights) -> Bytes:
-        """See ``Packer.pack``."""
-        return self._packer.pack(values)
-
-    def unpack(self, packed: Bytes) -> Weights:
-        """See ``Packer.unpack``."""
-        return self._packer.unpack(packed)
 
     def added(self, given: Weights, packed: Bytes) -> Weights:
         """What a receiver that holds ``given`` has then, both of shape (2, P).
@@ -57,16 +49,12 @@ class Packing:
         """
         rows = given if self.targets else given[:1]
         with np.errstate(over="ignore", invalid="ignore"):
-            found = rows + self._packer.unpack(packed).reshape(rows.shape)
+            found = rows + self.packer.unpack(packed).reshape(rows.shape)
         return np.ascontiguousarray(np.broadcast_to(found, given.shape), np.float32)
 
 
 class PackedSender:
-    """Sends networks packed and remembers what was lost on the way.
-
-    Args:
-        packing: how.
-    """
+    """Sends networks packed and remembers what was lost on the way."""
 
     def __init__(self, packing: Packing) -> None:
         self._packing = packing
@@ -75,8 +63,8 @@ class PackedSender:
     def send(self, given: Weights, weights: Weights) -> Bytes:
         """Packs weights for a receiver that holds ``given``, both of shape (2, P)."""
         wanted = self._packing.difference(given, weights) + self._lost
-        packed = self._packing.pack(wanted)
-        self._lost = wanted - self._packing.unpack(packed)
+        packed = self._packing.packer.pack(wanted)
+        self._lost = wanted - self._packing.packer.unpack(packed)
         return packed
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -90,15 +78,11 @@ class PackedSender:
 
 
 def packing(config: Config, parameters: int) -> tuple[Packing | None, Packing | None]:
-    """How a run's weights are packed, up and down; None where they are sent as they are.
-
-    Args:
-        config: the run's configuration.
-        parameters: P, of a robot's network.
-    """
+    """How networks of P parameters are packed, up and down; None: they are sent as they are."""
     chosen = config.federation.compression
     targets = chosen.targets == "averaged"
-    blocks = _blocks(config) * (2 if targets else 1)
+    layers = robot_network(config).layers  # a block for the weights of each, and one for its biases
+    blocks = [count for ins, outs in layers for count in (ins * outs, outs)] * (1 + targets)
     up, down = (
         Packing(build_packer(kind, chosen.keep, blocks), parameters, targets=targets)
         if kind != "none" or not targets
@@ -110,17 +94,7 @@ def packing(config: Config, parameters: int) -> tuple[Packing | None, Packing | 
 
 def payload_bytes(config: Config) -> tuple[int, int]:
     """Bytes of what one robot sends at a window's end, and of what it is given."""
-    parameters = robot_network(config).parameters
-    shared = shared_numbers(robot_network(config), config.federation.own)
-    plain = NETWORKS * NUMBER * int(shared.sum())
-    up, down = (plain if each is None else each.size for each in packing(config, parameters))
-    return up, down
-
-
-def _blocks(config: Config) -> list[int]:
-    """Numbers in each layer's weights and in its bias, as a network's row has them."""
-    return [
-        count
-        for inputs, outputs in robot_network(config).layers
-        for count in (inputs * outputs, outputs)
-    ]
+    network = robot_network(config)
+    plain = NETWORKS * NUMBER * int(shared_numbers(network, config.federation.own).sum())
+    up, down = packing(config, network.parameters)
+    return up.size if up else plain, down.size if down else plain

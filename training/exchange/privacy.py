@@ -5,9 +5,6 @@ The arithmetic is that of Flower's ``LocalDpMod``; noise is drawn from the run's
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,10 +18,6 @@ class LocalPrivacy:
     """What one robot does to its networks; see ``training.exchange.outbox.Change``.
 
     Where target networks are copied from the online ones, those alone are sent, clipped and noised.
-
-    Args:
-        config: the run's configuration.
-        robot: which, below K.
     """
 
     def __init__(self, config: Config, robot: int) -> None:
@@ -42,13 +35,6 @@ class LocalPrivacy:
         found = weights.copy()
         found[self._sent] = start + step + noise
         return found
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """Nothing: each window has noise of its own."""
-        return {}
-
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Takes back nothing."""
 
 
 def clipped(step: NDArray[np.float64], clip: float) -> NDArray[np.float64]:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from conf import Config
 from env.seeding import Stream, stream
 from training.exchange.facts import WindowFacts
-from training.exchange.selection import asked_robots, strongest
 
 Weights = NDArray[np.float32]
 
@@ -44,9 +43,6 @@ class Reception:
     A late upload comes a window later, as the step that the robot made: the difference from what
     it had been given, added to what it has uploaded by then, or else to what it holds (as FedBuff
     adds late differences; Nguyen et al., 2022, arXiv:2106.06639). So each robot counts once.
-
-    Args:
-        config: the run's configuration.
     """
 
     def __init__(self, config: Config) -> None:
@@ -59,7 +55,7 @@ class Reception:
         """Those of a window's uploads that count.
 
         Args:
-            window: the window's number.
+            window: its number.
             given: what each robot started the window from, shape (K, 2, P).
             rows: what each has sent, shape (K, 2, P).
             facts: of the window.
@@ -81,13 +77,14 @@ class Reception:
     def _asked(self, window: int, facts: WindowFacts) -> NDArray[np.bool_]:
         """Who is asked: the M with the best channels, or max(C K, 1) robots, drawn.
 
-        The draw is that of McMahan et al. (2017), Algorithm 1.
+        The draw is that of McMahan et al. (2017), Algorithm 1. The best channels have the shortest
+        uploads; of equal ones the first robot's counts as better.
         """
         robots = len(facts.channel_db)
         asked = np.ones(robots, np.bool_)
         if self._federation.hear is not None:
             asked[:] = False
-            asked[strongest(facts.channel_db, self._federation.hear)] = True
+            asked[np.argsort(-facts.channel_db, kind="stable")[: self._federation.hear]] = True
         if self._federation.fraction < 1:
             count = asked_robots(self._config)
             rng = stream(self._seed, Stream.HEARD, window)
@@ -119,3 +116,11 @@ class Reception:
         self._counts = np.array(state.get("counts", np.zeros(len(FATES))), np.int64)
         self._late = np.array(state.get("late", ()), np.intp)
         self._steps = np.array(state.get("steps", np.zeros((0, 0, 0))), np.float32)
+
+
+def asked_robots(config: Config) -> int:
+    """How many robots are asked for weights in a window."""
+    robots, federation = config.env.robots, config.federation
+    if federation.hear is not None:
+        return federation.hear
+    return max(1, round(federation.fraction * robots))

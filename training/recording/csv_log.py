@@ -60,22 +60,14 @@ class CsvLog:
 
 
 def check_files(folder: RunFolder, marks: Mapping[str, Any]) -> None:
-    """Finds before a run goes on that its files hold what its checkpoint says.
-
-    Raises:
-        CheckpointError: a file is missing or shorter.
-    """
+    """Raises a ``CheckpointError`` where a run's files do not hold what its checkpoint says."""
     _read_rows(folder.metrics_file, marks["episodes"])
     _read_rows(folder.evaluations_file, 2 * marks["evaluations"])
     _read_rows(folder.rooms_log_file, marks.get("rooms", 0))
 
 
 def _read_rows(path: Path, count: int) -> list[dict[str, float]]:
-    """The first rows of a CSV file of numbers; whole numbers stay whole.
-
-    Raises:
-        CheckpointError: there are fewer.
-    """
+    """The first rows of a CSV file of numbers; whole numbers stay whole."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(islice(csv.DictReader(file), count))

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -30,13 +31,7 @@ def save_figures(
 ) -> None:
     """Draws how a run learned, and the ways that its final policy drives.
 
-    Args:
-        folder: where to; made if it is missing.
-        config: of the run.
-        evaluator: of the run.
-        robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
-        ap: online weights of the access point, shape (P_AP,).
-        history: of the run.
+    ``robots`` and ``ap`` as in ``Evaluator.play``; the folder is made if it is missing.
     """
     folder.mkdir(exist_ok=True)
     learning_curve(
@@ -82,12 +77,8 @@ def learning_curve(
         evaluated_at: training episodes after which frozen weights were evaluated.
         evaluated: their success.
         epsilon: exploration of those evaluations.
-
-    Returns:
-        The figure.
     """
-    figure = Figure(figsize=(7, 5.6), layout="constrained")
-    top, bottom = figure.subplots(2, 1, sharex=True)
+    figure, top, bottom = _panels()
     episode = np.arange(1, len(reward) + 1)
     top.plot(episode, reward, color="#2e86de", alpha=0.3, linewidth=0.8)
     if reward:
@@ -108,10 +99,17 @@ def learning_curve(
     bottom.legend(
         loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2, ncols=2, frameon=False
     )
+    return figure
+
+
+def _panels() -> tuple[Figure, Axes, Axes]:
+    """A figure of two panels, one above the other."""
+    figure = Figure(figsize=(7, 5.6), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True)
     for axes in (top, bottom):
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
-    return figure
+    return figure, top, bottom
 
 
 def save_rooms_figure(path: Path, rows: Sequence[Mapping[str, float]]) -> None:
@@ -121,8 +119,7 @@ def save_rooms_figure(path: Path, rows: Sequence[Mapping[str, float]]) -> None:
         path: of the picture.
         rows: of ``rooms.csv``: two for each room and evaluation; the greedy ones are drawn.
     """
-    figure = Figure(figsize=(7, 5.6), layout="constrained")
-    panels = figure.subplots(2, 1, sharex=True)
+    figure, *panels = _panels()
     kinds = ((0, "#2e86de", "trained in"), (1, "#e4572e", "held out"))
     for axes, measure in zip(panels, ("success", "ee"), strict=True):
         for held_out, colour, label in kinds:
@@ -137,8 +134,6 @@ def save_rooms_figure(path: Path, rows: Sequence[Mapping[str, float]]) -> None:
             means = [float(np.mean(values)) for values in by_tick.values()]
             if means:
                 axes.plot(list(by_tick), means, "o-", color=colour, markersize=4, label=label)
-        axes.grid(alpha=0.25)
-        axes.spines[["top", "right"]].set_visible(False)
     top, bottom = panels
     top.set(ylabel="robots that arrive", ylim=(-0.02, 1.05), title="Rooms, greedy: means and each")
     bottom.set(xlabel="ticks of a room", ylabel="EE (bit/s/Hz/J)")

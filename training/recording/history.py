@@ -95,14 +95,7 @@ class Evaluation:
 def evaluate(
     evaluator: Evaluator, robots: NDArray[np.float32], ap: NDArray[np.float32], epsilon: float
 ) -> Evaluation:
-    """Plays frozen weights with some exploration and greedily.
-
-    Args:
-        evaluator: of the run.
-        robots: online weights of each robot, shape (K, P), or of all, shape (1, P).
-        ap: online weights of the access point, shape (P_AP,).
-        epsilon: exploration of the first.
-    """
+    """Plays frozen weights, as in ``Evaluator.play``, with some exploration and greedily."""
     first = evaluator.episodes  # of the second block of worlds, that without exploration
     trace = Trace(slice(first, first + 1))
     explored, greedy = evaluator.play(robots, ap, (epsilon, 0.0), serve=trace.see)

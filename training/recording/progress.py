@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from conf.schema import TrainConfig
 from env.episode import EpisodeMeasures
 
 
@@ -24,6 +25,11 @@ class Progress:
     tick: int = 0
     window: int = 0
     episodes: int = 0
+
+    def reaches(self, train: TrainConfig) -> bool:
+        """Whether a run that is to be so long is over."""
+        late = train.max_ticks is not None and self.tick >= train.max_ticks
+        return late or self.episodes >= train.episodes
 
 
 class Observer(Protocol):

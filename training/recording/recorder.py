@@ -109,17 +109,18 @@ class Recorder:
         self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
     ) -> None:
         """Evaluates the aggregated weights where that is due."""
-        done = len(self.history.evaluations)
-        if progress.episodes // self._config.evaluation.every > done:
+        self._evaluate_where_due(progress, robots[:, 0], ap[0])
+
+    def _evaluate_where_due(self, progress: Progress, robots: NDArray[np.float32], ap: Any) -> None:
+        """Evaluates if it is time, and now and then says how far the run is."""
+        if progress.episodes // self._config.evaluation.every > len(self.history.evaluations):
             began = time.perf_counter()
-            self._evaluate(progress, robots[:, 0], ap[0])
+            self._evaluate(progress, robots, ap)
             self.evaluation_s += time.perf_counter() - began
         if time.perf_counter() - self._written > PROGRESS_PERIOD_S:
             self.report("training", progress)
 
-    def _evaluate(
-        self, progress: Progress, robots: NDArray[np.float32], ap: NDArray[np.float32]
-    ) -> None:
+    def _evaluate(self, progress: Progress, robots: NDArray[np.float32], ap: Any) -> None:
         assert self._evaluator is not None
         found = evaluate(self._evaluator, robots, ap, self._config.evaluation.epsilon)
         self._write_evaluation(progress, found.explored, found.greedy)
@@ -161,10 +162,7 @@ class Recorder:
     ) -> None:
         """Writes ``episode.json``: the newest episode of an evaluation, for whoever watches.
 
-        Args:
-            folder: the run's, or a room's.
-            progress: where the run is.
-            episode: as ``training.trace.recorded`` gives it.
+        The folder is the run's, or a room's; the episode as ``training.trace.recorded`` gives it.
         """
         at = {"tick": progress.tick, "episode": progress.episodes}
         self._show(folder.episode_file.name, lambda: folder.write_episode({**at, **episode}))
@@ -181,7 +179,7 @@ class Recorder:
 
     def status(self, progress: Progress) -> dict[str, Any]:
         """What ``progress.json`` says of where a run is."""
-        recent = self.history.episodes[-10:]
+        recent, evaluations = self.history.episodes[-10:], self.history.evaluations
         return {
             "tick": progress.tick,
             "window": progress.window,
@@ -190,13 +188,11 @@ class Recorder:
             "max_ticks": self._config.train.max_ticks,
             "steps_per_s": self.steps_per_s(progress) if progress.tick else 0.0,
             "elapsed_s": time.perf_counter() - self.began,
-            "slots": mean([row["slots"] for row in recent]) if recent else None,
-            "reward": mean([row["reward"] for row in recent]) if recent else None,
-            "ee": mean([row["ee"] for row in recent]) if recent else None,
-            "success": mean([row["success"] for row in recent]) if recent else None,
-            "evaluated": self.history.evaluations[-1]["success"]
-            if self.history.evaluations
-            else None,
+            **{
+                name: mean([row[name] for row in recent]) if recent else None
+                for name in ("slots", "reward", "ee", "success")
+            },
+            "evaluated": evaluations[-1]["success"] if evaluations else None,
             "checkpoint": self.checkpoint,
             "round": self.round,
             "losses": len(self.losses),

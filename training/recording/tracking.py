@@ -23,24 +23,14 @@ log = logging.getLogger(__name__)
 
 
 class Trackers:
-    """Trackers of a run. One that fails is given up with a warning, and the others go on.
-
-    Args:
-        trackers: in the order in which they are told.
-    """
+    """Trackers of a run, told in order. One that fails is given up with a warning."""
 
     def __init__(self, trackers: Sequence[Tracker]) -> None:
         self._open = list(trackers)
 
     @classmethod
     def of(cls, config: Config, folder: RunFolder, undone: int) -> Trackers:
-        """Those that a configuration names.
-
-        Args:
-            config: the run's.
-            folder: the run's.
-            undone: what an earlier part of the run has recorded from this tick on comes again.
-        """
+        """Those that a run has chosen; what it has recorded from ``undone`` on comes again."""
         chosen: list[Tracker] = []
         if config.run.tensorboard:
             chosen.append(TensorBoard(folder.tensorboard, undone))
@@ -69,7 +59,8 @@ class Trackers:
                 call(tracker)
             except Exception as error:
                 self._open.remove(tracker)
-                _warn(tracker, error)
+                why = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+                log.warning("no events for %s from here on: %s", tracker.name, why)
                 if not last:
                     with suppress(Exception):  # the first failure has been told
                         tracker.finish(None)
@@ -82,8 +73,3 @@ def problems(run: RunConfig) -> list[Problem]:
         for key, names in DISTRIBUTIONS.items()
         if getattr(run, key) and all(version(name) == "unknown" for name in names)
     ]
-
-
-def _warn(tracker: Tracker, error: Exception) -> None:
-    why = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-    log.warning("no events for %s from here on: %s", tracker.name, why)

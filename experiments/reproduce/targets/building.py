@@ -21,8 +21,8 @@ from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.results.statistics import Estimate, estimate
 from experiments.reproduce.targets.plan import Cell
 from training.evaluation import Evaluator
-from training.known_rooms import known_rooms
 from training.recording.history import mean
+from training.rooms import known_rooms
 
 SEEDS = (50, 51, 52)
 """Those of ``experiment=building`` were 0 and 1."""

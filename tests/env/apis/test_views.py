@@ -16,6 +16,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
+from small_floor import on_small_floor
 
 import env
 from env.apis.fleet_infos import AP
@@ -23,7 +24,6 @@ from env.apis.parallel_env import RISFleetParallelEnv, parallel_env
 from env.apis.single_robot import SingleRobotEnv
 from env.config import EnvConfig, RisConfig
 from env.mdp.actions import ActionSpace
-from env.mdp.destinations import draw_destinations
 from env.rendering.drawing import missed, trajectory_figure
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -31,13 +31,14 @@ from env.world import World
 
 SHORT = {"max_slots": 30}
 CONFIGS: dict[str, dict[str, Any]] = {
-    "three_robots": {},
-    "one_robot": {"robots": 1},
-    "two_robots_without_ris": {"robots": 2, "ris": {"side": 0}},
+    "three_robots": {"motion": SHORT},
+    "one_robot": {"robots": 1, "motion": SHORT},
+    "two_robots_without_ris": {"robots": 2, "ris": {"side": 0}, "motion": SHORT},
     "four_robots": {"robots": 4, "motion": SHORT},
     "drawn_destinations": {"robots": 6, "motion": SHORT},
     "state_without_destination": {"robots": 2, "state": {"destination": "none"}, "motion": SHORT},
-    "round_solid_walls": {"robots": 2, "plan": "corridor", "motion": {"max_slots": 120}},
+    "round_solid_walls": {"robots": 2, "walls": {"block_motion": True}, "motion": SHORT},
+    "a_plan": {"robots": 2, "plan": "corridor", "motion": {"max_slots": 120}},
     "the_way": {"robots": 2, "state": {"way": "on", "destination": "none"}, "motion": SHORT},
     "weights_by_gain": {
         "robots": 3,
@@ -64,7 +65,9 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "motion": SHORT,
     },
 }
-each_config = pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+each_config = pytest.mark.parametrize(
+    "config", [on_small_floor(config) for config in CONFIGS.values()], ids=CONFIGS
+)
 
 
 @pytest.fixture(autouse=True)
@@ -95,7 +98,7 @@ EAST = int(ActionSpace(6).encode(np.array(2), np.array(1)))
 
 @each_config
 def test_the_parallel_view_keeps_pettingzoos_rules(config: dict[str, Any]) -> None:
-    parallel_api_test(parallel_env(config=config), num_cycles=200)
+    parallel_api_test(parallel_env(config=config), num_cycles=80)
     parallel_seed_test(lambda: parallel_env(config=config), num_cycles=20)
 
 
@@ -128,10 +131,7 @@ def test_observations_lie_in_their_spaces(config: dict[str, Any]) -> None:
 def test_the_parallel_view_is_the_world_bit_for_bit(config: dict[str, Any]) -> None:
     view = parallel_env(config=config, seed=5)
     whole = view.config
-    world = World(
-        Scenario(whole, draw_destinations(whole, stream(5, Stream.DESTINATIONS))),
-        stream(9, Stream.WORLD),
-    )
+    world = World(Scenario.drawn(whole, 5), stream(9, Stream.WORLD))
     random = np.random.default_rng(1)
     seen, _ = view.reset(seed=9)
     world.reset()
@@ -212,7 +212,7 @@ def test_single_robots_without_a_seed_start_differently() -> None:
 
 @pytest.mark.parametrize("view", [parallel_env, single], ids=["parallel", "single"])
 def test_views_draw_the_floor(view: Any) -> None:
-    made = view(config={"robots": 2}, render_mode="rgb_array")
+    made = view(config=on_small_floor({"robots": 2}), render_mode="rgb_array")
     made.reset(seed=0)
     first = made.render()
     assert first.shape == (480, 480, 3)
@@ -227,7 +227,7 @@ def test_views_draw_the_floor(view: Any) -> None:
 
 
 def test_only_a_robot_that_ends_elsewhere_is_marked_as_not_arrived() -> None:
-    world = parallel_env(config={"robots": 2}).world
+    world = parallel_env(config=on_small_floor({"robots": 2})).world
     goals = world.floor.centres()[world.destinations]
     ways = np.stack([goals, goals])[:, None].repeat(2, axis=1)
     ways[-1, 1, 0] += 1.0
@@ -243,7 +243,7 @@ def test_only_a_robot_that_ends_elsewhere_is_marked_as_not_arrived() -> None:
 
 @pytest.mark.parametrize("view", [parallel_env, single], ids=["parallel", "single"])
 def test_views_describe_themselves_in_text(view: Any) -> None:
-    made = view(config={"robots": 2}, render_mode="ansi")
+    made = view(config=on_small_floor({"robots": 2}), render_mode="ansi")
     made.reset(seed=0)
     text = made.render()
     assert text.startswith("slot 0 of 150, 2 of 2 driving")
@@ -261,7 +261,7 @@ def test_rendering_without_a_mode_warns() -> None:
     "again", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))], ids=["deepcopy", "pickle"]
 )
 def test_copies_go_on_to_the_same_slots(again: Any) -> None:
-    view = parallel_env(config={"robots": 2}, render_mode="rgb_array")
+    view = parallel_env(config=on_small_floor({"robots": 2}), render_mode="rgb_array")
     view.reset(seed=1)
     view.step(sampled(view))
     view.render()
@@ -415,7 +415,7 @@ def test_infos_of_a_reset_say_that_nothing_has_been_sent_and_how_long_the_way_is
     ],
 )
 def test_an_unknown_option_of_a_reset_is_named(view: Any, options: Any, said: str) -> None:
-    made = view(config={"robots": 1})
+    made = view(config=on_small_floor({"robots": 1}))
     made.reset(seed=0)
     with pytest.raises(ValueError, match=r"^options") as caught:
         made.reset(options=options)

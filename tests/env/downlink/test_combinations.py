@@ -14,14 +14,7 @@ from env.downlink.power_search import project_levels
 def test_of_four_levels_and_two_robots_there_are_six_combinations():
     config = checked_config({"robots": 2, "power": {"levels": 4}})
     assert count_combinations(config, 2) == 6
-    assert levels_by_rank(config, 2, 2).tolist() == [
-        [4, 3],
-        [4, 2],
-        [4, 1],
-        [3, 2],
-        [3, 1],
-        [2, 1],
-    ]
+    assert levels_by_rank(config, 2, 2).tolist() == [[4, 3], [4, 2], [4, 1], [3, 2], [3, 1], [2, 1]]
     assert levels_by_rank(config, 2, 1).tolist() == [[4, 1], [3, 1], [2, 1], [1, 1]]
 
 

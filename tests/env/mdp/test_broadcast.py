@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from env.apis.single_robot import SingleRobotEnv
 from env.checks import checked_config
 from env.local_env import LocalEnv
-from env.mdp.destinations import draw_destinations
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
@@ -18,8 +17,7 @@ from env.world import World
 
 def world_of(changes, seed=0, worlds=1):
     config = checked_config(changes)
-    goals = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
-    world = World(Scenario(config, goals), stream(seed, Stream.WORLD), worlds)
+    world = World(Scenario.drawn(config, seed), stream(seed, Stream.WORLD), worlds)
     world.reset()
     return world
 

@@ -151,8 +151,7 @@ def test_worlds_of_robots_that_drive_at_random_never_hold_two_in_a_cell():
 
 def test_random_starts_are_cells_of_their_own_and_cover_all_of_them():
     config = checked_config({**BLOCK, "robots": 3})
-    goals = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    starts = World(Scenario(config, goals), stream(0, Stream.WORLD)).draw_starts(3000)
+    starts = World(Scenario.drawn(config, 0), stream(0, Stream.WORLD)).draw_starts(3000)
     assert all(len({*row}) == 3 for row in starts.tolist())
     assert all(len({*column}) == 36 for column in starts.T.tolist())
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from env.checks import checked_config
 from env.local_env import LocalEnv
-from env.mdp.destinations import draw_destinations
 from env.mdp.reward import metric
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -51,8 +50,7 @@ WEIGHTS = (4.0, 16.0)  # (4 / 2)^2 and (4 / 1)^2
 
 
 def world_of(config, seed=0, worlds=1):
-    goals = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
-    return World(Scenario(config, goals), stream(seed, Stream.WORLD), worlds)
+    return World(Scenario.drawn(config, seed), stream(seed, Stream.WORLD), worlds)
 
 
 def tiny_slot(reward, **changes):

@@ -5,9 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from env import observation_tables
+from env import scenario as scenarios
 from env.checks import checked_config
-from env.mdp.destinations import draw_destinations
 from env.radio import radio_map
 from env.scenario import Scenario
 from env.seeding import Stream, stream
@@ -55,8 +54,7 @@ def configured(changes):
 
 def played(config, slots=12):
     """What is seen and gained in a few slots of seven worlds."""
-    destinations = draw_destinations(config, stream(3, Stream.DESTINATIONS))
-    worlds = World(Scenario(config, destinations), stream(3, Stream.WORLD), 7)
+    worlds = World(Scenario.drawn(config, 3), stream(3, Stream.WORLD), 7)
     worlds.reset()
     moves = np.random.default_rng(1)
     found: list[Any] = []
@@ -75,7 +73,7 @@ def test_an_episode_is_the_same_without_tables(changes, monkeypatch):
     config = configured(changes)
     looked_up = played(config)
     monkeypatch.setattr(radio_map, "MAX_TABLE", 0)
-    monkeypatch.setattr(observation_tables, "MAX_SEEN", 0)
+    monkeypatch.setattr(scenarios, "MAX_SEEN", 0)
     for found, computed in zip(looked_up, played(config), strict=True):
         assert found.dtype == computed.dtype
         np.testing.assert_array_equal(found, computed)

@@ -120,18 +120,21 @@ def test_the_best_powers_under_a_phase_are_those_of_a_plain_search(
     np.testing.assert_array_equal(per_slot.gains(world, phase), gain)
 
     def value(level: NDArray[np.int64]) -> NDArray[np.float64]:
-        rate = world.downlink.allocate(gain, level, world.driving).rate
+        """Of levels (C, 3, K), shape (C, 3)."""
+        served = np.tile(world.driving, (len(level), 1))
+        flat = level.reshape(served.shape)
+        rate = world.downlink.allocate(np.tile(gain, (len(level), 1)), flat, served).rate
         if world.config.metric == "qoe":
-            rate = np.where(world.driving, np.log10(np.maximum(rate, 0.01)), 0.0)
-        return np.asarray((weights * rate).sum(axis=-1))
+            rate = np.where(served, np.log10(np.maximum(rate, 0.01)), 0.0)
+        return np.asarray((weights * rate.reshape(level.shape)).sum(axis=-1))
 
     level = per_slot.best_powers(world, phase, weights)
     assert level.shape == world.cell.shape
     assert ((level >= 1) & (level <= levels)).all()
     np.testing.assert_array_equal(level[~world.driving], 1)
-    every = product(range(1, levels + 1), repeat=world.robots)
-    tried = [value(np.tile(picks, (3, 1))) for picks in every]
-    np.testing.assert_allclose(value(level), np.max(tried, axis=0), rtol=1e-12)
+    every = np.array([*product(range(1, levels + 1), repeat=world.robots)])
+    tried = value(np.repeat(every[:, None], 3, axis=1))
+    np.testing.assert_allclose(value(level[None])[0], tried.max(axis=0), rtol=1e-12)
 
 
 @given(world=worlds())
@@ -315,8 +318,7 @@ def test_weights_decide_who_is_served_best() -> None:
 def test_thousands_of_phases_are_searched_in_parts() -> None:
     """4,096 settings times 20 powers of two worlds: more than one part of a world's own."""
     config = checked_config({"ris": {"bits": 2, "subsurfaces": 6}, "room": {"cell_m": 3.0}})
-    destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    world = World(Scenario(config, destinations), stream(0, Stream.WORLD), 2)
+    world = World(Scenario.drawn(config, 0), stream(0, Stream.WORLD), 2)
     assert world.phase_actions == 4096
     world.reset()
     rows = np.arange(2)

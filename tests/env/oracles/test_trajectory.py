@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from env.checks import checked_config
 from env.episode import EpisodeAccumulator
-from env.mdp.destinations import draw_destinations
 from env.mdp.reward import energy_efficiency, metric, motion_energy_j
 from env.oracles import paths, per_slot
 from env.oracles.trajectory import Trajectory, best_trajectory, shortest_ways
@@ -22,8 +21,7 @@ from env.world import World
 
 def floor_of(cell_m: float, robots: int, **more: Any) -> World:
     config = checked_config({"room": {"cell_m": cell_m}, "robots": robots, **more})
-    destinations = draw_destinations(config, stream(0, Stream.DESTINATIONS))
-    return World(Scenario(config, destinations), stream(3, Stream.WORLD))
+    return World(Scenario.drawn(config, 0), stream(3, Stream.WORLD))
 
 
 def replayed(world: World, start: NDArray[np.int64], plan: Trajectory) -> EpisodeAccumulator:

@@ -2,6 +2,7 @@
 
 import cmath
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from env.config import (
 )
 from env.config_checks import problems
 from env.geometry.floor import Floor
-from env.mdp.destinations import draw_destinations
 from env.oracles.per_slot import best_phase
 from env.radio import codebook
 from env.radio.propagation import phases
@@ -136,8 +136,9 @@ def test_sectors_are_blocks_of_cells_row_by_row():
 
 @pytest.mark.parametrize(("response", "least_db"), [("near", 10.0), ("far", 9.0)])
 def test_in_the_shadow_beams_gain_what_one_phase_for_all_does_not(response, least_db):
-    beams = build_radio_map(surface(response, side=40, sectors=[6, 6]))
-    mirror = build_radio_map(surface(response, side=40, action="phases"))
+    room = RoomConfig(cell_m=1.0)
+    beams = build_radio_map(replace(surface(response, side=40, sectors=[6, 6]), room=room))
+    mirror = build_radio_map(replace(surface(response, side=40, action="phases"), room=room))
     more_db = (best_gain_db(beams) - best_gain_db(mirror))[~beams.direct_los]
     assert more_db.mean() > least_db
 
@@ -160,11 +161,7 @@ def test_gains_are_looked_up_for_each_world_and_robot():
 
 def test_an_oracle_reads_every_beam():
     config = surface()
-    world = World(
-        Scenario(config, draw_destinations(config, stream(0, Stream.DESTINATIONS))),
-        stream(0, Stream.WORLD),
-        worlds=2,
-    )
+    world = World(Scenario.drawn(config, 0), stream(0, Stream.WORLD), worlds=2)
     world.reset()
     every = world.channel(np.arange(world.phase_actions)[None])
     assert every.shape == (2, 6, 3)
@@ -183,7 +180,7 @@ def test_an_oracle_reads_every_beam():
     ],
 )
 def test_one_function_counts_the_actions_of_the_access_point(ris, actions):
-    config = EnvConfig(ris=ris)
+    config = EnvConfig(ris=ris, room=RoomConfig(cell_m=1.0))
     assert phase_actions(ris) == actions
     assert len(build_radio_map(config).settings) == actions
     assert RISFleetParallelEnv(config).action_space("ap").n == actions

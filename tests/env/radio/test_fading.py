@@ -11,7 +11,6 @@ from env.apis.parallel_env import RISFleetParallelEnv
 from env.config import ChannelConfig, EnvConfig
 from env.local_env import LocalEnv
 from env.mdp.actions import ActionSpace
-from env.mdp.destinations import draw_destinations
 from env.oracles import per_slot
 from env.radio.radio_map import build_radio_map
 from env.scenario import Scenario
@@ -23,8 +22,7 @@ FADINGS = ("static", "none", "slot")
 
 
 def make(config, worlds=1, seed=0):
-    destinations = draw_destinations(config, stream(seed, Stream.DESTINATIONS))
-    world = World(Scenario(config, destinations), stream(seed, Stream.WORLD), worlds)
+    world = World(Scenario.drawn(config, seed), stream(seed, Stream.WORLD), worlds)
     world.reset()
     return world
 

@@ -6,42 +6,28 @@ import os
 import signal
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from process_helpers import HEALTHY, wait_until
 
 from conf import Config, compose
-from experiments.flower import (
-    Connection,
-    Federation,
-    FlowerError,
-    ProcessLostError,
-    RunState,
-    Status,
-    UnansweredError,
-    commands,
-    control,
-    federation,
-    superlink,
-)
+from experiments.flower import commands, control, federation, superlink
+from experiments.flower.connection import Connection
+from experiments.flower.control import RunState, Status
+from experiments.flower.environment import FlowerError, ProcessLostError, UnansweredError
+from experiments.flower.federation import Federation
 from experiments.runtimes import on_flower
 from repeatable.processes import MARKER, members
 from storage.checkpoint_files import CheckpointError
 from training.run_folder import RunFolder
 
-pytestmark = pytest.mark.skipif(
-    not Path("/proc/self/environ").exists(), reason="finds processes in /proc"
-)
+pytestmark = [
+    pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes in /proc"),
+    pytest.mark.usefixtures("swift"),
+]
 
-SUPERLINK = """
-    import http.server, sys
-    class Handler(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200); self.end_headers()
-    http.server.HTTPServer(("127.0.0.1", int(sys.argv[-1])), Handler).serve_forever()
-"""
 SUPERNODE = """
     import subprocess, sys, time
     subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", "flower-superexec"])
@@ -73,7 +59,7 @@ def running(
     tmp_path: Path, install: Callable[[str, str], None], monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Callable[..., Federation]]:
     """Starts federations whose SuperLink answers and says of every run that it is going on."""
-    install("flower-superlink", SUPERLINK)
+    install("flower-superlink", HEALTHY)
     install("flower-supernode", SUPERNODE)
     monkeypatch.setattr(control, "run_status", lambda *_: Status(RunState.RUNNING))
     opened: list[Federation] = []
@@ -95,13 +81,6 @@ def started(tmp_path: Path, name: str = "") -> list[list[str]]:
     path = tmp_path / "started"
     lines = path.read_text().splitlines() if path.exists() else []
     return [line.split("|") for line in lines if line.startswith(name)]
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 300
-    while not condition():
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.05)
 
 
 def complete(made: Federation) -> bool:
@@ -172,7 +151,7 @@ def test_a_superlink_whose_starter_died_fails_a_run_that_has_not_begun(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     child = "import subprocess\nsubprocess.Popen([sys.executable, '-c', 'pass'])\n"
-    install("flower-superlink", "import sys\n" + child + textwrap.dedent(SUPERLINK))
+    install("flower-superlink", "import sys\n" + child + textwrap.dedent(HEALTHY))
     monkeypatch.setattr(control, "run_status", lambda *_: Status(RunState.PENDING))
     made = running(nodes=1)
     wait_until(lambda: made.status(1).state is RunState.FAILED)

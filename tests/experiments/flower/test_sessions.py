@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,15 +26,10 @@ with open(sys.argv[1], "w") as file:
 """
 """Leaves a process behind that has neither its parent nor the variables named."""
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-
-
-@pytest.fixture
-def session() -> Iterator[Session]:
-    """A session that is stopped at the end."""
-    made = Session()
-    yield made
-    made.stop()
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="reads /proc"),
+    pytest.mark.usefixtures("unguarded"),
+]
 
 
 def orphan(session: Session, said: Path, *lost: str) -> Process:

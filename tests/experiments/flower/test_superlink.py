@@ -9,50 +9,34 @@ import socket
 import subprocess
 import sys
 import textwrap
-import time
 import tomllib
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import psutil  # type: ignore[import-untyped]
 import pytest
+from process_helpers import HEALTHY, wait_until
 
-from experiments.flower import (
-    Components,
-    FlowerError,
-    ProcessLostError,
-    RunState,
-    SimulationSuperLink,
-    Status,
-    commands,
-    control,
-    environment,
-    superlink,
-)
-from experiments.flower.control import ControlError
-from experiments.flower.manifest import write_manifest, write_run_config
+from experiments.flower import commands, control, environment, superlink
+from experiments.flower.control import ControlError, RunState, Status
+from experiments.flower.engine import SimulationSuperLink
+from experiments.flower.environment import FlowerError, ProcessLostError
+from experiments.flower.manifest import Components, write_manifest, write_run_config
 from experiments.flower.session import Session
 from repeatable import processes
 from repeatable.processes import MARKER, Process, members, terminate
 from training.engine_limits import max_concurrent_clients
 
+pytestmark = pytest.mark.usefixtures("unguarded")
 needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
-
-HEALTHY = """
-    import http.server, sys
-    class Handler(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200); self.end_headers()
-        def do_POST(self):
-            self.send_error(404)
-    http.server.HTTPServer(("127.0.0.1", int(sys.argv[-1])), Handler).serve_forever()
-"""
 
 
 @pytest.fixture
-def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], None]:
+def fake(
+    tmp_path: Path, swift: None, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str, str], None]:
     """Puts a Python script in the place of one of Flower's commands."""
 
     def install(name: str, script: str) -> None:
@@ -76,13 +60,6 @@ def healthy(tmp_path: Path, fake: Callable[[str, str], None]) -> Iterator[Simula
 
 def marker_of(tmp_path: Path) -> str:
     return (tmp_path / "marker").read_text()
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 300
-    while not condition():
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.05)
 
 
 # --- Processes ---
@@ -125,16 +102,16 @@ def test_a_process_that_shows_its_marker_late_is_ended_all_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     looks = []
-    is_marked = processes._is_marked
+    environment = processes.environment
 
-    def late(pid: int, marker: str) -> bool:
+    def late(pid: int) -> Mapping[str, str]:
         looks.extend([pid] if pid == child.pid else [])
-        return len(looks) > 2 and is_marked(pid, marker)
+        return environment(pid) if len(looks) > 2 else {}
 
     child = subprocess.Popen(["sleep", "600"], env={**os.environ, MARKER: "late"})
     try:
         wait_until(lambda: members("late") != set())
-        monkeypatch.setattr(processes, "_is_marked", late)
+        monkeypatch.setattr(processes, "environment", late)
         assert terminate("late") == set()
         assert child.poll() is not None
     finally:
@@ -205,7 +182,7 @@ def test_a_command_that_gives_no_answer_is_ended_with_an_error() -> None:
     session = Session()
     try:
         with pytest.raises(FlowerError, match="gave no answer"):
-            session.run([sys.executable, "-c", "import time; time.sleep(600)"], timeout_s=0.5)
+            session.run([sys.executable, "-c", "import time; time.sleep(600)"], timeout_s=0.1)
     finally:
         session.stop()
 
@@ -261,7 +238,7 @@ def test_a_superlink_that_never_answers_is_ended(
     tmp_path: Path, fake: Callable[[str, str], None]
 ) -> None:
     fake("flower-superlink", "import time; time.sleep(600)")
-    launcher = SimulationSuperLink(log_path=tmp_path / "log", start_timeout_s=1.0)
+    launcher = SimulationSuperLink(log_path=tmp_path / "log", start_timeout_s=0.6)
     with pytest.raises(FlowerError, match="did not answer within 1 s"), launcher:
         pass
     assert members(marker_of(tmp_path)) == set()

@@ -24,20 +24,6 @@ from training.run_folder import RunFolder
 Saying = Callable[..., str]
 
 
-@pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Saying:
-    """Runs a command that must end with status 2; returns its one sentence."""
-
-    def run(*arguments: object) -> str:
-        assert main(["replay", *map(str, arguments)]) == 2
-        said = capsys.readouterr().err
-        assert said.startswith("risfleet: ")
-        assert said.count("\n") == 1
-        return said
-
-    return run
-
-
 def data_of(html: str) -> dict[str, Any]:
     found = re.search(r'<script id="data" type="application/json">(.*?)</script>', html, re.DOTALL)
     assert found is not None
@@ -72,7 +58,7 @@ def test_another_run_drives_from_the_same_start_or_is_refused(
     one, its = data_of(out.read_text(encoding="utf-8"))["panels"]
     assert one["episode"]["cells"][0] == its["episode"]["cells"][0]
     elsewhere = trained({"env.tasks.destinations_m": [[6.5, 2.5], [1.5, 1.5], [5.5, 5.5]]})
-    said = refused(tiny_run, "--out", out, "--against", elsewhere)
+    said = refused("replay", tiny_run, "--out", out, "--against", elsewhere)
     assert "whose robots have the same destinations" in said
 
 
@@ -152,7 +138,7 @@ def test_without_its_package_an_mp4_is_refused_in_a_sentence(
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     out = tmp_path / "replay.mp4"
-    assert "pip install 'risfleet[film]'" in refused(tiny_run, "--out", out)
+    assert "pip install 'risfleet[film]'" in refused("replay", tiny_run, "--out", out)
     assert not out.exists()
 
 
@@ -161,17 +147,23 @@ def test_mistakes_cost_a_sentence(
 ) -> None:
     out = tmp_path / "replay.html"
     assert "allowed is a file that ends in one of .html, .gif, .mp4" in refused(
-        tiny_run, "--out", tmp_path / "replay.avi"
+        "replay", tiny_run, "--out", tmp_path / "replay.avi"
     )
     assert "allowed is a file in a folder that exists" in refused(
-        tiny_run, "--out", tmp_path / "nowhere" / "replay.html"
+        "replay", tiny_run, "--out", tmp_path / "nowhere" / "replay.html"
     )
-    assert "is no run folder" in refused(tmp_path, "--out", out)
+    assert "is no run folder" in refused("replay", tmp_path, "--out", out)
     film = tmp_path / "replay.gif"
-    assert "--frames 7: allowed is 1 to 6" in refused(tiny_run, "--out", film, "--frames", 7)
-    assert "--episode 4: allowed is 0 to 3" in refused(tiny_run, "--out", out, "--episode", 4)
-    assert f"{building_run / 'rooms' / '0000'}" in refused(building_run, "--out", out)
-    assert "nothing is no run folder" in refused(tiny_run, "--out", out, "--against", "nothing")
+    assert "--frames 7: allowed is 1 to 6" in refused(
+        "replay", tiny_run, "--out", film, "--frames", 7
+    )
+    assert "--episode 4: allowed is 0 to 3" in refused(
+        "replay", tiny_run, "--out", out, "--episode", 4
+    )
+    assert f"{building_run / 'rooms' / '0000'}" in refused("replay", building_run, "--out", out)
+    assert "nothing is no run folder" in refused(
+        "replay", tiny_run, "--out", out, "--against", "nothing"
+    )
     assert not out.exists()
 
 
@@ -194,5 +186,5 @@ def test_where_channels_change_in_each_slot_there_is_no_plan_to_stand_against(
     refused: Saying, tmp_path: Path, trained: Callable[..., Path]
 ) -> None:
     run = trained({"env.channel.fading": "slot"})
-    said = refused(run, "--out", tmp_path / "replay.html", "--against", "oracle")
+    said = refused("replay", run, "--out", tmp_path / "replay.html", "--against", "oracle")
     assert "env.channel.fading=slot" in said

@@ -12,8 +12,9 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from http.client import HTTPConnection
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -42,20 +43,17 @@ def get(server: WatchServer, path: str, **headers: str) -> tuple[int, str, str]:
     return answer.status, answer.headers.get_content_type(), text
 
 
-def streamed(server: WatchServer, count: int) -> list[tuple[str, str]]:
-    """The first events of a page's stream."""
+def news(server: WatchServer) -> Iterator[tuple[str, str]]:
+    """A page's stream, event by event."""
     with urllib.request.urlopen(f"{server.url}events", timeout=20) as stream:
         assert stream.headers.get_content_type() == "text/event-stream"
-        found, name = [], ""
+        name = ""
         for line in stream:
             field, _, value = line.decode().rstrip("\n").partition(": ")
             if field == "event":
                 name = value
             elif field == "data":
-                found.append((name, value))
-                if len(found) == count:
-                    return found
-    return found
+                yield name, value
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -92,25 +90,11 @@ def test_the_stream_sends_everything_once_and_then_what_changes(
     copied: Path, watched: Watched
 ) -> None:
     with watched(copied) as server:
-        first = streamed(server, 3)
-        assert [name for name, _ in first] == ["status", "curves", "panel"]
-        news = server_news(server)
-        assert [next(news)[0] for _ in range(3)] == ["status", "curves", "panel"]
+        for stream in (news(server), news(server)):  # each page is sent all of it
+            assert [next(stream)[0] for _ in range(3)] == ["status", "curves", "panel"]
         RunFolder(copied).report_state("failed", "for a test")
-        name, data = next(news)
+        name, data = next(stream)
         assert (name, json.loads(data)["said"]) == ("status", "failed. for a test")
-
-
-def server_news(server: WatchServer) -> Any:
-    """A page's stream, event by event."""
-    with urllib.request.urlopen(f"{server.url}events", timeout=20) as stream:
-        name = ""
-        for line in stream:
-            field, _, value = line.decode().rstrip("\n").partition(": ")
-            if field == "event":
-                name = value
-            elif field == "data":
-                yield name, value
 
 
 def test_watching_changes_nothing_in_the_folder(
@@ -119,7 +103,7 @@ def test_watching_changes_nothing_in_the_folder(
     for run in (copied, building_run):
         before = contents(run)
         with watched(run) as server:
-            streamed(server, 3)
+            assert len([*islice(news(server), 3)]) == 3
             get(server, "/")
             get(server, "/room/0000")
         assert contents(run) == before

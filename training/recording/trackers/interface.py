@@ -29,8 +29,7 @@ class Tracker(Protocol):
     def finish(self, summary: Mapping[str, Any] | None) -> None:
         """Closes the record, whatever was opened of it, and ends what was started for it.
 
-        Args:
-            summary: what ``summary.json`` holds; None if the run did not come to its end.
+        The summary is that of ``summary.json``; None if the run did not come to its end.
         """
         ...
 

@@ -32,9 +32,6 @@ class MLflow:
 
     MLflow's own variables count, ``MLFLOW_TRACKING_URI`` and ``MLFLOW_EXPERIMENT_NAME`` among
     them. Without the first nothing leaves this machine, MLflow's report of its use included.
-
-    Args:
-        folder: the run's, in which the database lies.
     """
 
     name = "MLflow"
@@ -92,12 +89,13 @@ class MLflow:
         """The id of the record that an earlier part of the run has begun, or of a new one."""
         from mlflow.entities import Param
 
+        tags = {}
         if config.run.id is not None:
+            tags = {TAG: config.run.id}
             wanted = f"tags.`{TAG}` = '{config.run.id}'"
             for run in self._client.search_runs([experiment], wanted, max_results=1):
                 self._client.update_run(run.info.run_id, status="RUNNING")
                 return str(run.info.run_id)
-        tags = {} if config.run.id is None else {TAG: config.run.id}
         made = self._client.create_run(experiment, run_name=self._folder.path.name, tags=tags)
         parameters = [Param(key, str(it)[:LONGEST]) for key, it in _flat(asdict(config))]
         for first in range(0, len(parameters), MOST_PARAMETERS):

@@ -12,9 +12,7 @@ from conf import Config
 class TensorBoard:
     """Writes events; implements ``interface.Tracker``.
 
-    Args:
-        folder: where to.
-        undone: events of an earlier part of the run from this tick on no longer count.
+    What an earlier part of the run has written from the tick ``undone`` on no longer counts.
     """
 
     name = "TensorBoard"

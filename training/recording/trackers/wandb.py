@@ -22,9 +22,6 @@ class WandB:
 
     W&B's own variables count, ``WANDB_MODE`` and ``WANDB_PROJECT`` among them. Without the first
     nothing leaves this machine, W&B's reports of its own errors included.
-
-    Args:
-        folder: the run's, in which W&B makes one of its own.
     """
 
     name = "W&B"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,8 +12,7 @@ class RowLayout:
     """Where the fields of a transition lie in its row.
 
     A row is (observation, next observation, action, reward, terminal). Actions are exact in float32
-    up to 2**24. Terminal is 1 or 0; over m slots at once (`agent.replay.n_step`) the value of the
-    next state counts discount^m in place of discount, and terminal is 1 - discount^(m - 1).
+    up to 2**24; terminal is 1 or 0.
     """
 
     def __init__(self, inputs: int) -> None:
@@ -33,15 +30,9 @@ class RowLayout:
         terminal: ArrayLike,
         out: FloatArray,
     ) -> None:
-        """Writes transitions into rows.
+        """Writes transitions into the rows `out`, shape (n, width).
 
-        Args:
-            observations: shape (n, inputs).
-            actions: shape (n,).
-            rewards: shape (n,).
-            next_observations: shape (n, inputs).
-            terminal: shape (n,).
-            out: the rows to fill, shape (n, width).
+        Observations have shape (n, inputs), all else (n,).
         """
         out[:, : self.inputs] = observations
         out[:, self.inputs : self.action] = next_observations
@@ -52,14 +43,7 @@ class RowLayout:
     def unpack(
         self, rows: FloatArray
     ) -> tuple[FloatArray, NDArray[np.int64], FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Reads transitions from rows.
-
-        Args:
-            rows: shape (n, width).
-
-        Returns:
-            Observations, actions, rewards, next observations and terminal flags.
-        """
+        """Reads transitions from rows of shape (n, width), in the order in which `pack` takes."""
         return (
             rows[:, : self.inputs],
             rows[:, self.action].astype(np.int64),
@@ -98,33 +82,22 @@ class Replay:
         self._rows[np.arange(start, self.added) % self.capacity] = rows[start - self.added :]
 
     def sample(self, generator: np.random.Generator, out: FloatArray) -> None:
-        """Draws transitions uniformly, with replacement.
-
-        Args:
-            generator: the agent's own.
-            out: filled with the rows drawn, shape (batch, width).
-        """
+        """Draws transitions uniformly, with replacement, into `out`, shape (batch, width)."""
         places: NDArray[np.float64] = generator.random((out.shape[0],))
         places *= len(self)
         # "clip" spares a copy; no place can lie outside, as random() stays below 1.
         self._rows.take(places.astype(np.intp), axis=0, out=out, mode="clip")
-
-    def update_priorities(self) -> None:
-        """Updates priorities after a gradient step; a no-op for uniform replay."""
-
-    def extra_state(self) -> dict[str, NDArray[np.generic]]:
-        """What is known of the transitions besides their rows, by name: here nothing."""
-        return {}
-
-    def restore_marks(self, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Takes back what `marks` gave, once the rows are restored."""
 
     def rows(self) -> FloatArray:
         """A copy of the filled part in memory order, shape (len, width)."""
         return self._rows[: len(self)].copy()
 
     def restore(self, rows: NDArray[np.generic], added: int) -> None:
-        """Takes back what `rows` gave and the number of transitions ever added."""
+        """Takes back what `rows` gave and the number of transitions ever added.
+
+        Raises:
+            ValueError: the rows are not those of a replay of this size.
+        """
         if rows.shape != (min(added, self.capacity), self._rows.shape[1]):
             raise ValueError(
                 f"a replay of {self.capacity} x {self._rows.shape[1]} cannot take rows of shape "

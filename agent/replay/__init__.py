@@ -1,1 +1,0 @@
-"""Transitions as packed rows: uniform, prioritised, and over several slots."""
