@@ -63,12 +63,7 @@ def columns(
 def of_room(place: RunFolder, personalise: int) -> tuple[Config, list[tuple[Weights, Weights]]]:
     """A room's configuration, and its policies: the final weights, and personalised ones.
 
-    Args:
-        place: the room's folder.
-        personalise: see ``columns``.
-
-    Returns:
-        The policies' online networks, shapes (P,) and (P_AP,).
+    Each is an online network of the robots, shape (P,), and one of the access point, (P_AP,).
     """
     config = place.read_config()
     robots, ap = place.read_networks(config)

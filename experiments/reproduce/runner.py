@@ -17,11 +17,7 @@ from experiments.runtimes.folders import folder_lock
 
 
 class Plan:
-    """The cells of some targets with their runs, checked.
-
-    Args:
-        cells: of all targets; names may come twice.
-        out: the folder of the call.
+    """The cells of some targets, whose names may come twice, with their runs in a call's folder.
 
     Raises:
         ConfigError: a wrong key, value or combination.
@@ -50,11 +46,8 @@ def train(
 ) -> batch.BatchOutcome:
     """Trains every run of a plan that is not done.
 
-    Args:
-        plan: the runs.
-        workers: processes at once; as many as cores if None.
-        hydra: overrides of Hydra's launcher.
-        console: where to show progress.
+    ``workers`` are processes at once, as many as cores if None, and ``hydra`` overrides of Hydra's
+    launcher.
 
     Raises:
         ConfigError: the launcher is wrong, or another call is training in this folder.

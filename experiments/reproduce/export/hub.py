@@ -171,14 +171,10 @@ def front_matter(model: str, weights: Sequence[Weights]) -> str:
 
 
 def dress(folder: Path) -> list[Path]:
-    """Brings a folder with a card and folders of weights into the hub's form.
-
-    Returns:
-        The files written.
+    """Brings a folder with a card and folders of weights into the hub's form; returns its files.
 
     Raises:
         ConfigError: there are no weights, or a file is damaged.
-        OSError: a file cannot be read or written.
     """
     found = [Weights(path) for path in sorted(folder.iterdir()) if Weights(path).files.has_ended]
     if not found:

@@ -34,7 +34,7 @@ class Run:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """What the run came to, as in its summary."""
+        """What it came to."""
         return self.files.read_summary()
 
     @cached_property

@@ -56,12 +56,8 @@ class Fig5Measures(NamedTuple):
         policy: learned or planned.
         starts: the figure's, or held out.
         seed: None of the plan that is drawn.
-        ee: energy efficiency in bit/s/Hz/J, the objective (5a).
-        sum_rate: in bit/s/Hz.
-        min_rate: the least over robots of a robot's mean rate, in bit/s/Hz.
+        ee: with the other measures as in ``planning.Planned``.
         success: share of the robots that arrive.
-        path_ratio: slots driven over the fewest possible.
-        gain_db: mean of |h_k|^2 in dB over robots and slots.
     """
 
     side: int

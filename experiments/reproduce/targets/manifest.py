@@ -29,15 +29,9 @@ def write(
     files: Sequence[Path],
     call: Mapping[str, Any],
 ) -> Path:
-    """Writes a target's manifest beside its files; returns it.
+    """Writes the manifest of a target's files beside them; returns it.
 
-    Args:
-        out: the folder of the files.
-        target: its name.
-        cells: what it needs.
-        runs: by cell and seed.
-        files: what it wrote.
-        call: how it was called: what the user set, and the seconds that it took.
+    ``call`` says how it was called: what the user set, and the seconds that it took.
     """
     manifest = {
         "target": target,
