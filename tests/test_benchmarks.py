@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks import distance, memory
+from benchmarks import distance, engine, env_step, memory
 from benchmarks.__main__ import known, main
 from benchmarks.local import configured
 from benchmarks.lockstep import PartedRun, Tick, shortest
@@ -28,7 +28,9 @@ from storage.checkpoint_layout import robot_folder, server_folder
         ),
     ],
 )
-def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path):
+def test_a_benchmark_reports_finite_positive_numbers(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(env_step, "BATCH", 8)
+    monkeypatch.setattr(engine, "WIDTHS", {64: engine.WIDTHS[64]})
     path = tmp_path / "bench.json"
     assert main(["--quick", "--only", name, "--json", str(path)]) == 0
     report = json.loads(path.read_text())

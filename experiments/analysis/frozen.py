@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -44,6 +43,16 @@ def play(
     """
     single_threaded()
     evaluator = Evaluator(config, episodes=episodes, starts_seed=starts_seed)
+    return played_by(evaluator, robots, ap, epsilons)
+
+
+def played_by(
+    evaluator: Evaluator,
+    robots: NDArray[np.float32],
+    ap: NDArray[np.float32],
+    epsilons: Sequence[float],
+) -> list[EpisodeMeasures]:
+    """``Evaluator.play``; that an oracle cannot search the configuration is a ConfigError."""
     try:
         return evaluator.play(robots, ap, epsilons)
     except ValueError as error:
@@ -81,18 +90,14 @@ def check_options(**options: Any) -> None:
     """
     found: list[Problem] = []
     for name, value in options.items():
-        if value is None:
-            continue
         if name == "epsilon":
-            if isinstance(value, bool) or not (isinstance(value, Real) and 0 <= float(value) <= 1):
-                found.append((name, value, "a number from 0 to 1"))
-            continue
-        least = 1 if name == "episodes" else 0
-        try:
-            wrong = isinstance(value, bool) or operator.index(value) < least
-        except TypeError:
-            wrong = True
-        if wrong:
-            found.append((name, value, f"a whole number of at least {least}"))
+            good = isinstance(value, Real) and 0 <= float(value) <= 1
+            allowed = "a number from 0 to 1"
+        else:
+            least = 1 if name == "episodes" else 0
+            good = isinstance(value, Integral) and int(value) >= least
+            allowed = f"a whole number of at least {least}"
+        if value is not None and (isinstance(value, bool) or not good):
+            found.append((name, value, allowed))
     if found:
         raise ConfigError.of(found)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from training.controllers.service import Served
 from training.evaluation import Evaluator
 
 SLACK = 4
-
 
 SHORTEST = "shortest, "
 RANDOM = SHORTEST + "random phase"
@@ -49,32 +47,34 @@ def shortest_measures(evaluator: Evaluator, seed: int) -> Measures:
         seed: of the random phases.
 
     Returns:
-        From a policy's name to its measures. The best fixed phase is the one setting with the
-        largest mean energy efficiency over these episodes.
+        By name. The best fixed phase is the one setting with the largest mean energy efficiency
+        over these episodes.
     """
     world, starts = evaluator.world, evaluator.starts
+    settings, levels, count = world.phase_actions, world.config.power.levels, len(starts)
     generator = stream(seed, Stream.EVALUATION, 3)
     weights = _weights(world, starts)
 
     def canonical(phase: NDArray[np.int64]) -> Served:
         gain = world.radio_map.gain(world.cell, phase)
-        return phase, per_slot.canonical_levels(gain, world.driving, world.config.power.levels)
+        return phase, per_slot.canonical_levels(gain, world.driving, levels)
 
     def by_phase(world: World) -> Served:
-        driving, levels = world.driving[:, None], world.config.power.levels
-        level = per_slot.canonical_levels(per_slot.phase_gains(world), driving, levels)
+        gains, driving = per_slot.phase_gains(world), world.driving[:, None]
+        level = per_slot.canonical_levels(gains, driving, levels)
         phase = per_slot.best_phase(world, level, weights)
         return phase, level[np.arange(len(phase)), phase]
 
-    def drive(serve: Callable[[World], Served]) -> EpisodeMeasures:
-        return _played(world, starts, serve)
+    def fixed(setting: int) -> EpisodeMeasures:
+        phase = np.full(count, setting)
+        return _played(world, starts, lambda _: canonical(phase))
 
-    settings, count = world.phase_actions, len(starts)
-    fixed = [drive(partial(_constant, canonical, np.full(count, a))) for a in range(settings)]
     return {
-        RANDOM: drive(lambda _: canonical(generator.integers(settings, size=count))),
-        FIXED: fixed[int(np.argmax([found.ee.mean() for found in fixed]))],
-        PHASE: drive(by_phase),
+        RANDOM: _played(
+            world, starts, lambda _: canonical(generator.integers(settings, size=count))
+        ),
+        FIXED: max(map(fixed, range(settings)), key=lambda found: float(found.ee.mean())),
+        PHASE: _played(world, starts, by_phase),
         POWERS: shortest_best_measures(evaluator),
     }
 
@@ -86,26 +86,19 @@ def shortest_best_measures(evaluator: Evaluator, watch: Watch = ignored) -> Epis
         evaluator: the held-out episodes.
         watch: is shown the world in every slot before it moves on, with what is served in it.
     """
-    world, starts = evaluator.world, evaluator.starts
-    weights = _weights(world, starts)
+    weights = _weights(evaluator.world, evaluator.starts)
 
     def serve(world: World) -> Served:
         served = per_slot.best_phase_and_powers(world, weights)
         watch(world, served)
         return served
 
-    return _played(world, starts, serve)
+    return _played(evaluator.world, evaluator.starts, serve)
 
 
 def _weights(world: World, starts: NDArray[np.int64]) -> NDArray[np.float64]:
     """What rates count for in (5a) on shortest ways from cells, (B, K), same shape."""
     return per_slot.objective_weights(world, world.slots_to_go[starts, np.arange(world.robots)])
-
-
-def _constant(
-    powers: Callable[[NDArray[np.int64]], Served], phase: NDArray[np.int64], _: World
-) -> Served:
-    return powers(phase)
 
 
 def _played(
@@ -136,11 +129,8 @@ def trajectory_measures(
         evaluator: the held-out episodes.
         slack: extra slots that a robot may take.
         each: goes through the starts, and may show how far it is.
-        watch: is shown the world in every slot before it moves on, with what is served in it.
+        watch: as in ``shortest_best_measures``.
         planned_in: the world as the planner knows it; the one that is played in if None.
-
-    Returns:
-        The measures of the plans.
     """
     world, known = evaluator.world, planned_in or evaluator.world
     plans = [best_trajectory(known, start, slack) for start in each(evaluator.starts)]
@@ -166,9 +156,6 @@ def policy_measures(
         evaluator: the held-out episodes.
         robots: online weights of each robot, shape (K, P).
         ap: online weights of the access point, shape (P_AP,).
-
-    Returns:
-        From a policy's name to its measures.
     """
     driving: list[NDArray[np.bool_]] = []
 
@@ -182,12 +169,13 @@ def policy_measures(
     def phases(world: World, served: Served) -> Served:
         return per_slot.best_phase(world, served[1], weights), served[1]
 
-    def powers(world: World, served: Served) -> Served:
+    def powers(world: World, _: Served) -> Served:
         return per_slot.best_phase_and_powers(world, weights)
 
-    (by_phase,) = evaluator.play(robots, ap, (0.0,), serve=phases)
-    (by_powers,) = evaluator.play(robots, ap, (0.0,), serve=powers)
-    return {POLICY: played, POLICY_PHASE: by_phase, POLICY_POWERS: by_powers}
+    better = {POLICY_PHASE: phases, POLICY_POWERS: powers}
+    return {POLICY: played} | {
+        name: evaluator.play(robots, ap, (0.0,), serve=serve)[0] for name, serve in better.items()
+    }
 
 
 def gap(measures: Measures, seed: int) -> dict[str, dict[str, float]]:

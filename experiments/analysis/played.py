@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,12 @@ from numpy.typing import NDArray
 from conf import Config
 from env.episode import EpisodeMeasures
 from env.world import World
-from experiments.analysis import optimality_gap
-from experiments.analysis.optimality_gap import SLACK
+from experiments.analysis.optimality_gap import (
+    SLACK,
+    shortest_best_measures,
+    trajectory_measures,
+)
+from training.controllers.service import Served
 from training.evaluation import Evaluator
 from training.trace import Trace
 
@@ -46,6 +51,16 @@ class PlayedEpisodes:
         return float(np.nanmean(self.along.gain_db))
 
 
+def _played(
+    evaluator: Evaluator, play: Callable[[Callable[[World, Served], Served]], EpisodeMeasures]
+) -> PlayedEpisodes:
+    """Plays an evaluator's episodes by a function that shows each slot to what it is given."""
+    along = Trace()
+    measures = play(along.see)
+    along.finish(evaluator.world)
+    return PlayedEpisodes(measures, along, evaluator.world)
+
+
 def learned(
     evaluator: Evaluator,
     weights: tuple[NDArray[np.float32], NDArray[np.float32]],
@@ -58,35 +73,17 @@ def learned(
         weights: online weights of robots, (K, P), and access point, (P_AP,).
         epsilon: probability of a random action.
     """
-    along = Trace()
-    (measures,) = evaluator.play(*weights, (epsilon,), serve=along.see)
-    along.finish(evaluator.world)
-    return PlayedEpisodes(measures, along, evaluator.world)
+    return _played(evaluator, lambda see: evaluator.play(*weights, (epsilon,), serve=see)[0])
 
 
-def planned(evaluator: Evaluator, slack: int = SLACK) -> PlayedEpisodes:
-    """Plans the episodes' best trajectories (``env.oracles.trajectory``) and plays them.
-
-    Args:
-        evaluator: the episodes.
-        slack: extra slots that a robot may take.
-    """
-    along = Trace()
-    measures = optimality_gap.trajectory_measures(evaluator, slack, watch=along.see)
-    along.finish(evaluator.world)
-    return PlayedEpisodes(measures, along, evaluator.world)
+def planned(evaluator: Evaluator) -> PlayedEpisodes:
+    """Plans the episodes' best trajectories (``env.oracles.trajectory``) and plays them."""
+    return _played(evaluator, lambda see: trajectory_measures(evaluator, SLACK, watch=see))
 
 
 def ruled(evaluator: Evaluator) -> PlayedEpisodes:
-    """Plays the best rule: shortest ways with the phases and powers that serve (5a) best.
-
-    Args:
-        evaluator: the episodes.
-    """
-    along = Trace()
-    measures = optimality_gap.shortest_best_measures(evaluator, along.see)
-    along.finish(evaluator.world)
-    return PlayedEpisodes(measures, along, evaluator.world)
+    """Plays the best rule: shortest ways with the phases and powers that serve (5a) best."""
+    return _played(evaluator, lambda see: shortest_best_measures(evaluator, see))
 
 
 def mirrored(config: Config) -> Evaluator:
@@ -95,9 +92,6 @@ def mirrored(config: Config) -> Evaluator:
     The paper does not say where the robots of its Fig. 5 start. Here the start is the destination
     turned half round the room's centre: with the default task all three robots start on the access
     point's side of the wall and end on the other, 30 to 40 m away by rows and columns.
-
-    Args:
-        config: a run's configuration.
     """
     evaluator = Evaluator(config, episodes=1)
     floor = evaluator.world.floor

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from agent import single_threaded
 from client_app.rooms import HostedRoom
-from conf import Config, ConfigError
+from conf import Config
+from experiments.analysis.frozen import played_by
 from training.evaluation import Evaluator
 from training.recording.history import MEASURES, mean
 from training.rooms import Weights, known_rooms
@@ -49,9 +50,10 @@ def columns(
         evaluator = Evaluator(config, episodes=episodes, starts_seed=starts_seed)
         for end, (model, own_ap) in zip(("", ", personalised"), policies, strict=False):
             name = f"{kind}{end}"
-            for epsilon, measures in _each(evaluator, model, own_ap, epsilons):
+            played = played_by(evaluator, model[None], own_ap, epsilons)
+            for epsilon, measures in zip(epsilons, played, strict=True):
                 title = f"{name}, eps = {epsilon:g}" if len(epsilons) > 1 else name
-                found.setdefault(title, []).append(measures)
+                found.setdefault(title, []).append(measures.summary())
     return {
         name: {key: mean([row[key] for row in rows]) for key in (*MEASURES, "reward", "slots")}
         for name, rows in found.items()
@@ -61,12 +63,7 @@ def columns(
 def of_room(place: RunFolder, personalise: int) -> tuple[Config, list[tuple[Weights, Weights]]]:
     """A room's configuration, and its policies: the final weights, and personalised ones.
 
-    Args:
-        place: the room's folder.
-        personalise: see ``columns``.
-
-    Returns:
-        The policies' online networks, shapes (P,) and (P_AP,).
+    Each is an online network of the robots, shape (P,), and one of the access point, (P_AP,).
     """
     config = place.read_config()
     robots, ap = place.read_networks(config)
@@ -99,14 +96,3 @@ def adapted(config: Config, robots: Weights, ap: Weights, ticks: int) -> tuple[W
         -(-ticks // config.federation.every), robots, ap
     )
     return report.model[0], report.ap[0]
-
-
-def _each(
-    evaluator: Evaluator, robots: Weights, ap: Weights, epsilons: Sequence[float]
-) -> Iterator[tuple[float, Measures]]:
-    try:
-        played = evaluator.play(robots[None], ap, epsilons)
-    except ValueError as error:
-        raise ConfigError(f"{error}.") from error
-    for epsilon, measures in zip(epsilons, played, strict=True):
-        yield epsilon, measures.summary()

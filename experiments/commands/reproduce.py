@@ -19,8 +19,8 @@ from experiments.batch.launcher import DEFAULT
 from experiments.batch.train import BatchOutcome
 from experiments.console import PLAIN
 from experiments.console.arguments import positive
-from experiments.reproduce.jobs.runner import Plan, train
 from experiments.reproduce.results.runs import Runs
+from experiments.reproduce.runner import Plan, train
 from experiments.reproduce.targets import manifest
 from experiments.reproduce.targets.plan import TARGETS, Cell, Target, with_overrides
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from textwrap import fill
 
 import numpy as np
@@ -99,22 +100,21 @@ class Player:
     Attributes:
         name: of its folder.
         overrides: of its cell; none if it is not a target's.
-        run: the run.
-        seeds: all runs of its configuration, itself among them.
+        seeds: all runs of its configuration, itself the first.
     """
 
     name: str
     overrides: Sequence[str]
-    run: Run
     seeds: Sequence[Run]
+
+    @property
+    def run(self) -> Run:
+        """The first."""
+        return self.seeds[0]
 
 
 def card(players: Sequence[Player]) -> str:
-    """The card of some weights, numbers included.
-
-    Args:
-        players: at least one.
-    """
+    """The card of the weights of at least one run, numbers included."""
     return TEXT.format(
         opening=_opening(players),
         files=players[0].run.files,
@@ -150,29 +150,31 @@ def _opening(players: Sequence[Player]) -> str:
     return fill(text, WIDTH)
 
 
-def _what(player: Player) -> str:
-    config = player.run.config
-    own = player.run.files.config_file.name
-    how = f"`{' '.join(player.overrides)}`" if player.overrides else f"its `{own}`"
-    summary = player.run.summary
-    cells = player.name, config.env.robots, summary["seed"], summary["episodes"], how
+def _row(cells: Iterable[object]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
+def _what(player: Player) -> str:
+    run = player.run
+    own = f"its `{run.files.config_file.name}`"
+    how = f"`{' '.join(player.overrides)}`" if player.overrides else own
+    return _row(
+        (player.name, run.config.env.robots, run.summary["seed"], run.summary["episodes"], how)
+    )
+
+
 def _how_well(player: Player) -> str:
-    cells = [player.name, str(len(player.seeds))]
     explored, greedy = _evaluations(player.run)
+    cells = []
     for evaluation, measure, form in (
         (explored, "success", ".2f"),
         (greedy, "success", ".2f"),
         (explored, "path_ratio", ".3f"),
         (explored, "ee", ".4f"),
     ):
-        own, *all_ = (
-            run.summary["evaluation"][evaluation][measure] for run in (player.run, *player.seeds)
-        )
-        cells.append(_spread(own, [value for value in all_ if value is not None], form))
-    return f"| {' | '.join(cells)} |"
+        values = [run.summary["evaluation"][evaluation][measure] for run in player.seeds]
+        cells.append(_spread(values, form))
+    return _row((player.name, len(player.seeds), *cells))
 
 
 def _evaluations(run: Run) -> tuple[str, str]:
@@ -181,15 +183,15 @@ def _evaluations(run: Run) -> tuple[str, str]:
     return ("eps05", "greedy") if few else ("last5", "last5_greedy")
 
 
-def _spread(own: float | None, all_: Sequence[float], form: str) -> str:
-    """A run's value, and the least and largest of all; a path ratio is None if nobody arrives."""
-    if own is None:
+def _spread(values: Sequence[float | None], form: str) -> str:
+    """The first value, and the least and largest of all; a path ratio is None if nobody arrives."""
+    if values[0] is None:
         return "-"
-    return f"{own:{form}} ({np.min(all_):{form}} to {np.max(all_):{form}})"
+    known = [value for value in values if value is not None]
+    return f"{values[0]:{form}} ({np.min(known):{form}} to {np.max(known):{form}})"
 
 
 def _sizes(player: Player) -> str:
-    cells = [player.name]
-    for network in (robot_network(player.run.config), ap_network(player.run.config)):
-        cells += [widths(network), f"{network.parameters:,}"]
-    return f"| {' | '.join(cells)} |"
+    networks = robot_network(player.run.config), ap_network(player.run.config)
+    sizes = ((widths(network), f"{network.parameters:,}") for network in networks)
+    return _row((player.name, *chain(*sizes)))

@@ -34,21 +34,21 @@ from training.run_folder import RunFolder
 WEIGHTS = {
     **{f"k{robots}": ("fig3", FEDERATED.format(robots)) for robots in (2, 3, 4)},
     **{
-        f"k{robots}-best": (optimality.TARGET.name, optimality.named(optimality.BEST, robots))
+        f"k{robots}-best": ("optimality", optimality.named(optimality.BEST, robots))
         for robots in optimality.ROBOTS
     },
-    f"building-{building.COUNTS[-1]}": (
-        building.TARGET.name,
-        building.ROOMS.format(building.COUNTS[-1]),
-    ),
+    f"building-{building.COUNTS[-1]}": ("building", building.ROOMS.format(building.COUNTS[-1])),
 }
 """Folders of weights, and the targets and their cells whose first seed they are of."""
 
 SHARED = "planned.csv"
 """Several targets add to one file, so only the last manifest knows all of it."""
 
-KEPT = ("seed", "robots", "strategy", "scheme", "versions", "fingerprint", "digest", "ticks")
-KEPT_TOO = ("episodes", "converged", "evaluation")
+KEPT = (
+    *("seed", "robots", "strategy", "scheme", "versions", "fingerprint", "digest"),
+    *("ticks", "episodes", "converged", "evaluation"),
+)
+"""Of a summary."""
 
 Manifest = Mapping[str, Any]
 
@@ -68,15 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def export(source: Path, results: Path, others: Mapping[str, Path]) -> list[Path]:
-    """Copies what is kept of a reproduction.
+    """Copies what is kept of a reproduction; returns the files written.
 
     Args:
         source: the folder of ``risfleet reproduce``.
         results: where to; made if it is missing.
         others: further runs whose weights are kept, by name.
-
-    Returns:
-        The files written.
 
     Raises:
         ConfigError: there is nothing to copy, or a file is not the one that its manifest says.
@@ -84,10 +81,8 @@ def export(source: Path, results: Path, others: Mapping[str, Path]) -> list[Path
     manifests = _manifests(source)
     results.mkdir(parents=True, exist_ok=True)
     files = [path for each in manifests.values() for path in _copied(each, source, results)]
-    rows: list[Row] = []
-    for target, manifest in manifests.items():
-        if target != "claims":  # its cells are those of figures
-            rows += _first_episodes(target, manifest, source)
+    own = {name: each for name, each in manifests.items() if name != "claims"}  # figures' cells
+    rows = [row for name, each in own.items() for row in _first_episodes(name, each, source)]
     files.append(repeat.write(results, rows))
     players = _players(manifests, source, others)
     for player in players:
@@ -100,15 +95,14 @@ def export(source: Path, results: Path, others: Mapping[str, Path]) -> list[Path
 
 def _manifests(source: Path) -> dict[str, Manifest]:
     """The manifest of each target that is there."""
-    found = {name: source / f"{name}.manifest.json" for name in TARGETS}
-    there = {
-        name: json.loads(path.read_text(encoding="utf-8-sig"))
-        for name, path in found.items()
-        if path.is_file()
-    }
-    if not there:
+    found = {}
+    for name in TARGETS:
+        path = source / f"{name}.manifest.json"
+        if path.is_file():
+            found[name] = json.loads(path.read_text(encoding="utf-8-sig"))
+    if not found:
         raise ConfigError(f"{source}: no manifest of a target is there.")
-    return there
+    return found
 
 
 def _copied(manifest: Manifest, source: Path, results: Path) -> list[Path]:
@@ -149,11 +143,8 @@ def _players(
             runs = [Run(source / seed["folder"]) for seed in seeds]
             if has_rooms(runs[0].config):
                 runs = [HeldOutRoom.first(run) for run in runs]
-            players.append(Player(name, cells[cell]["overrides"], runs[0], runs))
-    for name, folder in others.items():
-        run = Run(folder)
-        players.append(Player(name, (), run, [run]))
-    return players
+            players.append(Player(name, cells[cell]["overrides"], runs))
+    return players + [Player(name, (), [Run(folder)]) for name, folder in others.items()]
 
 
 def _weights(run: Run, folder: Path) -> list[Path]:
@@ -162,7 +153,7 @@ def _weights(run: Run, folder: Path) -> list[Path]:
     kept = RunFolder(folder)
     nowhere = dataclasses.replace(run.config, run=RunConfig())
     runtime = dataclasses.replace(nowhere.runtime, connection=None)
-    summary = {key: run.summary[key] for key in (*KEPT, *KEPT_TOO)}
+    summary = {key: run.summary[key] for key in KEPT}
     kept.write_config(dataclasses.replace(nowhere, runtime=runtime))
     kept.write_summary(summary)
     shutil.copyfile(run.files.weights_file, kept.weights_file)
@@ -170,11 +161,7 @@ def _weights(run: Run, folder: Path) -> list[Path]:
 
 
 def _named(item: str) -> tuple[str, Path]:
-    """What ``--weights NAME=RUN`` says.
-
-    Raises:
-        ConfigError: it says something else.
-    """
+    """What ``--weights NAME=RUN`` says; a ConfigError if it says something else."""
     name, separator, folder = item.partition("=")
     if not separator or not name.replace("-", "").isalnum():
         raise ConfigError(f"--weights {item}: allowed is NAME=RUN, a name and a run's folder.")
@@ -197,7 +184,3 @@ def _parser() -> argparse.ArgumentParser:
         help="keep the weights of this run, too; may be given again",
     )
     return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

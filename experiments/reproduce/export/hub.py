@@ -12,19 +12,17 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
-from conf import Config, ConfigError, ap_network, robot_network
+from conf import ConfigError, ap_network, robot_network
 from conf.user_paths import user_path
 from experiments.console.mishaps import in_words
+from experiments.reproduce.results.runs import Run
 from storage.atomic import write_atomically
 from storage.checkpoint_files import digest
-from training.run_folder import RunFolder
 from training.weights_metadata import widths
 
 CARD = "README.md"
@@ -98,30 +96,13 @@ BUILDING = {
 }
 
 
-@dataclass(frozen=True)
-class Weights:
-    """A folder of weights.
-
-    Attributes:
-        files: its files.
-    """
-
-    files: RunFolder
+class Weights(Run):
+    """A folder of weights."""
 
     @property
     def name(self) -> str:
         """The folder's name."""
-        return self.files.path.name
-
-    @cached_property
-    def config(self) -> Config:
-        """The configuration that they were trained with."""
-        return self.files.read_config()
-
-    @cached_property
-    def summary(self) -> dict[str, Any]:
-        """What they came to."""
-        return self.files.read_summary()
+        return self.folder.name
 
     @property
     def of_building(self) -> bool:
@@ -190,33 +171,22 @@ def front_matter(model: str, weights: Sequence[Weights]) -> str:
 
 
 def dress(folder: Path) -> list[Path]:
-    """Brings a folder of weights into the hub's form.
-
-    Args:
-        folder: with a card and a folder for each of the weights.
-
-    Returns:
-        The files written.
+    """Brings a folder with a card and folders of weights into the hub's form; returns its files.
 
     Raises:
-        ConfigError: there are none, or a file is damaged.
-        OSError: a file cannot be read or written.
+        ConfigError: there are no weights, or a file is damaged.
     """
-    found = [Weights(files) for path in _folders(folder) if (files := RunFolder(path)).has_ended]
+    found = [Weights(path) for path in sorted(folder.iterdir()) if Weights(path).files.has_ended]
     if not found:
         raise ConfigError(f"{folder}: allowed is a folder with folders of weights.")
-    card = folder / CARD
-    body = FRONT.sub("", card.read_text(encoding="utf-8"))
+    written = [folder / CARD]
+    body = FRONT.sub("", written[0].read_text(encoding="utf-8"))
     for weights in found:
         weights.describe()
-        write_atomically(weights.files.path / CARD, weights.card())
-    write_atomically(card, front_matter("risfleet", found) + body)
-    written = [(each.files.weights_file, each.files.path / CARD) for each in found]
-    return [card, *(path for pair in written for path in pair)]
-
-
-def _folders(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.is_dir())
+        write_atomically(weights.folder / CARD, weights.card())
+        written += [weights.files.weights_file, weights.folder / CARD]
+    write_atomically(written[0], front_matter("risfleet", found) + body)
+    return written
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

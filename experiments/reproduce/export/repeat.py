@@ -35,10 +35,7 @@ class RegressionRun:
     """The first episodes of a run.
 
     Attributes:
-        target: whose run it is, such as fig3.
-        cell: its name.
-        seed: the run's.
-        overrides: the cell's.
+        target: whose run it is, such as fig3; its ``cell``, with ``overrides``, and ``seed``.
         computed_by: versions and type of processor.
         ticks: at which the episodes end, shape (episodes,).
         rewards: their total rewards, shape (episodes,).
@@ -84,23 +81,16 @@ def read(folder: Path) -> list[RegressionRun]:
     with (folder / FILE).open(encoding="utf-8-sig", newline="") as file:
         for row in csv.DictReader(file):
             groups.setdefault(tuple(row[name] for name in COLUMNS[:5]), []).append(row)
-    return [
-        RegressionRun(target, cell, int(seed), tuple(overrides.split()), by, *_numbers(rows))
-        for (target, cell, seed, overrides, by), rows in groups.items()
-    ]
-
-
-def _numbers(rows: Sequence[Mapping[str, Any]]) -> list[Floats]:
-    return [np.array([float(row[name]) for row in rows]) for name in ("tick", "reward")]
+    found = []
+    for (target, cell, seed, overrides, by), rows in groups.items():
+        ticks, rewards = (np.array([float(row[n]) for row in rows]) for n in ("tick", "reward"))
+        of = target, cell, int(seed), tuple(overrides.split()), by
+        found.append(RegressionRun(*of, ticks, rewards))
+    return found
 
 
 def rerun(kept: RegressionRun, folder: Path) -> Run:
-    """Trains the first ticks of a run again.
-
-    Args:
-        kept: of the run.
-        folder: a new one.
-    """
+    """Trains the first ticks of a run again, in a new folder."""
     short = (f"train.max_ticks={TICKS}", "evaluation.episodes=1")
     own = (f"seed={kept.seed}", f"run.dir={folder}")
     config = checked_training([*COMMON, *kept.overrides, *short, *own])

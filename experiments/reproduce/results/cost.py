@@ -43,38 +43,35 @@ def ratios(ours: Config, theirs: Config) -> dict[int, Floats]:
     single_threaded()
     every, last = (*MEASURED, *EXTRAPOLATED), MEASURED[-1]
     federated = {k: _federated(_with(ours, k)) for k in every}
-    central = {k: _centralized(_with(theirs, k)) for k in MEASURED}
-    ours_s: dict[int, list[float]] = {k: [] for k in federated}
-    theirs_s: dict[int, list[float]] = {k: [] for k in central}
+    central = {k: [_access_point(_with(theirs, k), joint=True)] for k in MEASURED}
+    ours_s: dict[int, list[float]] = {k: [] for k in every}
+    theirs_s: dict[int, list[float]] = {k: [] for k in MEASURED}
     for _ in range(BLOCKS):  # in turns, so that what else the machine does meets all alike
-        for k, learners in federated.items():
-            ours_s[k].append(_step_s(learners, FEDERATED_STEPS))
-        for k, learners in central.items():
-            theirs_s[k].append(_step_s(learners, CENTRAL_STEPS))
+        for k in every:
+            ours_s[k].append(_step_s(federated[k], FEDERATED_STEPS))
+        for k in MEASURED:
+            theirs_s[k].append(_step_s(central[k], CENTRAL_STEPS))
     growth = {k: actions(ours, k) / actions(ours, min(k, last)) for k in every}
     return {k: np.array(theirs_s[min(k, last)]) * growth[k] / np.array(ours_s[k]) for k in every}
 
 
 def _with(config: Config, robots: int) -> Config:
-    """A configuration with another number of robots."""
     return dataclasses.replace(config, env=dataclasses.replace(config.env, robots=robots))
 
 
 def _federated(config: Config) -> list[DQN]:
     """Robots in one stack, and the access point."""
     agent = config.agent
-    robots = [np.random.default_rng(robot) for robot in range(config.env.robots)]
-    return [
-        _filled(DQN(robot_network(config), agent, agent.discount.robot, robots), config),
-        _filled(DQN(ap_network(config), agent, agent.discount.ap, robots[:1]), config),
-    ]
+    generators = [np.random.default_rng(robot) for robot in range(config.env.robots)]
+    robots = DQN(robot_network(config), agent, agent.discount.robot, generators)
+    return [_filled(robots, config), _access_point(config)]
 
 
-def _centralized(config: Config) -> list[DQN]:
-    """Baseline 1's only agent."""
-    discount = config.agent.discount.robot
-    generator = np.random.default_rng(0)
-    return [_filled(DQN(ap_network(config), config.agent, discount, [generator]), config)]
+def _access_point(config: Config, *, joint: bool = False) -> DQN:
+    """The access point's agent, which may be the only one, over all joint actions (Baseline 1)."""
+    discount = config.agent.discount.robot if joint else config.agent.discount.ap
+    generators = [np.random.default_rng(0)]
+    return _filled(DQN(ap_network(config), config.agent, discount, generators), config)
 
 
 def _filled(agents: DQN, config: Config) -> DQN:

@@ -22,14 +22,7 @@ Row = Sequence[object]
 
 
 def save_figure(figure: Figure, out: Path, name: str, *, quick: bool) -> list[Path]:
-    """Writes a figure as PNG and SVG, the same bytes each time; says if it is a quick one.
-
-    Args:
-        figure: the figure.
-        out: an existing folder.
-        name: of the files, without their endings.
-        quick: whether few and short runs are behind it.
-    """
+    """Writes ``name``.png and .svg, the same bytes each time; a quick figure says that it is."""
     if quick:
         strip = STAMP_INCHES / figure.get_figheight()
         engine = figure.get_layout_engine()
@@ -63,16 +56,11 @@ def _short(value: object) -> object:
     return format(value, ".6g") if isinstance(value, float) else value
 
 
-def write_table(path: Path, header: Sequence[str], rows: Sequence[Row], note: str = "") -> Path:
-    """Writes a Markdown table.
-
-    Args:
-        path: the file.
-        header: names of the columns.
-        rows: as many cells each.
-        note: what stands below it.
-    """
+def write_table(
+    path: Path, header: Sequence[str], rows: Sequence[Row], note: str, *, quick: bool = False
+) -> Path:
+    """Writes a Markdown table with a note below it, which says if the table is a quick one."""
     lines = [header, ["---"] * len(header), *rows]
     text = "".join("| " + " | ".join(map(str, line)) + " |\n" for line in lines)
-    write_atomically(path, text + (f"\n{note}\n" if note else ""))
+    write_atomically(path, f"{text}\n{note}{f' {QUICK.capitalize()}.' if quick else ''}\n")
     return path

@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import NamedTuple
 
 from omegaconf import OmegaConf
 from rich.console import Console
@@ -24,31 +25,11 @@ from experiments.analysis.played import planned
 from storage.atomic import write_atomically
 from training.evaluation import Evaluator
 
-COLUMNS = (
-    "key",
-    "robots",
-    "side",
-    "max_dbm",
-    "access",
-    "share",
-    "metric",
-    "seed",
-    "episodes",
-    "slack",
-    "ee",
-    "ee_bits_per_joule",
-    "sum_rate",
-    "min_rate",
-    "path_ratio",
-    "gain_db",
-)
-
-Row = dict[str, str]
-"""A line of the file, by ``COLUMNS``."""
+SETTING = ("robots", "side", "max_dbm", "access", "share", "metric", "seed", "episodes", "slack")
+"""Columns that say what a line is of."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Planned:
+class Planned(NamedTuple):
     """Means over the held-out episodes of a run, each driven along its planned trajectories.
 
     Attributes:
@@ -68,40 +49,36 @@ class Planned:
     gain_db: float
 
 
-MEASURES = tuple(each.name for each in dataclasses.fields(Planned))
-"""Columns that hold what was planned; the last one is not among the measures of episodes."""
+COLUMNS = ("key", *SETTING, *Planned._fields)
+
+Row = dict[str, str]
+"""A line of the file, by ``COLUMNS``."""
 
 
-def planned_values(
-    configs: Sequence[Config], file: Path, processes: int | None = None
-) -> list[Planned]:
+def planned_values(configs: Sequence[Config], file: Path) -> list[Planned]:
     """What trajectories come to that are planned from the starts that the runs are evaluated on.
 
     With several robots a plan is a lower bound on the best (``env.oracles.trajectory``). What the
     file holds is not worked out again; each value is written as soon as it is there.
 
     Args:
-        configs: of runs.
+        configs: of runs; the values have their order.
         file: a CSV file, made where it is missing.
-        processes: at once; the cores if None.
-
-    Returns:
-        The values, in the order of ``configs``.
 
     Raises:
         ConfigError: no plan can be made: channels change in each slot, or time is too short.
     """
     keys = [_key(config) for config in configs]
     kept = {_setting(row): row for row in _read(file)}
-    known = {row["key"]: row for row in kept.values() if all(map(row.get, MEASURES))}
+    known = {row["key"]: row for row in kept.values() if all(map(row.get, Planned._fields))}
     missing = {k: c for k, c in zip(keys, configs, strict=True) if k not in known}
     try:
-        for row in _worked_out(missing, processes or os.cpu_count() or 1):
+        for row in _worked_out(missing):
             known[row["key"]] = kept[_setting(row)] = row
             _write(file, [kept[setting] for setting in sorted(kept)])
     except ValueError as error:
         raise ConfigError(f"{error}.") from error
-    return [Planned(*(float(known[key][name]) for name in MEASURES)) for key in keys]
+    return [Planned(*(float(known[key][name]) for name in Planned._fields)) for key in keys]
 
 
 def _key(config: Config) -> str:
@@ -115,17 +92,16 @@ def _key(config: Config) -> str:
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()[:16]
 
 
-def _worked_out(missing: dict[str, Config], processes: int) -> Iterator[Row]:
+def _worked_out(missing: dict[str, Config]) -> Iterator[Row]:
     """The rows of what is missing, as they come; an interrupt leaves the rest undone."""
     if not missing:
         return
-    show = Console(stderr=True)
-    if min(processes, len(missing)) < 2:
-        for config in track(missing.values(), "planning trajectories", console=show):
-            yield _row(config)
+    show, processes = Console(stderr=True), min(os.cpu_count() or 1, len(missing))
+    if processes < 2:
+        yield from map(_row, track(missing.values(), "planning trajectories", console=show))
         return
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(processes, len(missing)), context, single_threaded)
+    pool = ProcessPoolExecutor(processes, context, single_threaded)
     try:
         rows = as_completed([pool.submit(_row, config) for config in missing.values()])
         for done in track(rows, "planning trajectories", total=len(missing), console=show):
@@ -137,7 +113,7 @@ def _worked_out(missing: dict[str, Config], processes: int) -> Iterator[Row]:
 def _row(config: Config) -> Row:
     drive = planned(Evaluator(config))
     env, found = config.env, drive.measures.summary()
-    values = {
+    values = found | {
         "key": _key(config),
         "robots": env.robots,
         "side": env.ris.side,
@@ -148,7 +124,6 @@ def _row(config: Config) -> Row:
         "seed": config.seed,
         "episodes": config.evaluation.episodes,
         "slack": SLACK,
-        **{name: found[name] for name in MEASURES[:-1]},
         "gain_db": drive.gain_db,
     }
     return {name: str(values[name]) for name in COLUMNS}
@@ -156,7 +131,7 @@ def _row(config: Config) -> Row:
 
 def _setting(row: Row) -> tuple[str, ...]:
     """What a line is of, so that a new one takes the place of an earlier version's."""
-    return tuple(row[name] for name in COLUMNS[1 : COLUMNS.index("ee")])
+    return tuple(row[name] for name in SETTING)
 
 
 def _read(file: Path) -> list[Row]:

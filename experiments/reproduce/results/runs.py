@@ -23,32 +23,28 @@ Columns = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Run:
-    """A run that has ended.
-
-    Attributes:
-        folder: the run's.
-    """
+    """A run that has ended, by its folder."""
 
     folder: Path
 
     @property
     def files(self) -> RunFolder:
-        """The files in its folder."""
+        """The folder's files."""
         return RunFolder(self.folder)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """What the run came to, as in its summary."""
+        """What it came to."""
         return self.files.read_summary()
 
     @cached_property
     def config(self) -> Config:
-        """The run's configuration."""
+        """What it was trained with."""
         return self.files.read_config()
 
     @property
     def seed(self) -> int:
-        """The run's seed."""
+        """Of its configuration."""
         return self.config.seed
 
     def metrics(self) -> Columns:
@@ -57,11 +53,7 @@ class Run:
 
     def evaluations(self) -> Columns:
         """The columns of ``evaluations.csv`` with exploration, each of shape (evaluations,)."""
-        return _columns(self.files.evaluations_file, 0, 2)
-
-    def greedy(self) -> Columns:
-        """The columns of ``evaluations.csv`` without exploration, each of shape (evaluations,)."""
-        return _columns(self.files.evaluations_file, 1, 2)
+        return _columns(self.files.evaluations_file, 2)
 
     def weights(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Online weights: robots (K, P), access point (P_AP,).
@@ -74,11 +66,7 @@ class Run:
 
 @dataclass(frozen=True)
 class HeldOutRoom(Run):
-    """A held-out room of a building that has ended: its weights, and what they are worth there.
-
-    Attributes:
-        building: the run.
-    """
+    """A held-out room of a building that has ended: its weights, and what they are worth there."""
 
     building: Run
 
@@ -113,9 +101,9 @@ Runs = Mapping[str, Mapping[int, Run]]
 """From a cell's name and a seed to a run."""
 
 
-def _columns(path: Path, first: int = 0, step: int = 1) -> Columns:
-    """The columns of a CSV file of numbers, of the rows ``first::step``; empty is nan."""
+def _columns(path: Path, step: int = 1) -> Columns:
+    """The columns of a CSV file of numbers, of every ``step``-th row; empty is nan."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.DictReader(file)
-        names, rows = reader.fieldnames or (), list(reader)[first::step]
+        names, rows = reader.fieldnames or (), list(reader)[::step]
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +20,8 @@ from training.recording.history import CONVERGED
 
 RESAMPLES = 4000
 LEVEL = 0.95
+ENDS = ((1 - LEVEL) / 2, 1 - (1 - LEVEL) / 2)
+
 BOOTSTRAP_SEED = 2026
 IN_A_ROW = 3
 """Evaluations with enough success that make a run converged, see ``History.converged``."""
@@ -25,34 +29,31 @@ IN_A_ROW = 3
 UNITS = {"episode": "episodes", "tick": "ticks", "cpu_s": "CPU s"}
 """What convergence is counted in, and how it is called."""
 
+LENGTHS = {"episode": "episodes", "tick": "ticks", "cpu_s": "cpu_s"}
+"""Where a summary has a run's whole length, in each unit."""
+
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Estimate(NamedTuple):
     """A number over seeds, with its interval.
 
     Attributes:
         value: the number, or its bound.
         low: lower end of the 95 % interval; nan with one seed, minus infinity where it is open.
         high: upper end.
-        count: seeds.
+        seeds: how many.
         bound: "≥" or "≤" where ``value`` is but a bound, "?" where not even that.
     """
 
     value: float
     low: float
     high: float
-    count: int
+    seeds: int
     bound: str = ""
 
     def text(self, form: str, scale: float = 1.0) -> str:
-        """As a table shows it, such as ``≥0.59 (0.40 to 0.71)``.
-
-        Args:
-            form: of a number, such as ".2f".
-            scale: times which it is shown.
-        """
+        """Times ``scale`` in a format such as ".2f": ``≥0.59 (0.40 to 0.71)``."""
         if np.isnan(self.value) or self.bound == "?":
             return "-"
         value, low, high = (format(scale * x, form) for x in (self.value, self.low, self.high))
@@ -83,7 +84,7 @@ class ConvergenceTimes:
 def iqm(values: ArrayLike) -> Floats:
     """Interquartile mean along the last axis: a quarter of the values is left out at each end.
 
-    A share of a value is not left out: of five, the middle three count; of three, all.
+    Whole values alone are left out: of five, the middle three count; of three, all.
     """
     ordered = np.sort(np.asarray(values, float), axis=-1)
     cut = ordered.shape[-1] // 4
@@ -106,12 +107,7 @@ def estimate(values: ArrayLike, statistic: Callable[[Floats], Floats] = iqm) -> 
 
 
 def difference(ours: ArrayLike, theirs: ArrayLike) -> Estimate:
-    """The interquartile mean of the differences ours - theirs, seed by seed.
-
-    Args:
-        ours: shape (seeds,).
-        theirs: of the same seeds, in the same order.
-    """
+    """The interquartile mean of ours - theirs, both of the same seeds in the same order."""
     return estimate(np.asarray(ours, float) - np.asarray(theirs, float))
 
 
@@ -121,12 +117,11 @@ def converged(times: ConvergenceTimes) -> Estimate:
     With runs that never converged it is a lower bound, unless they are the quarter that is left
     out; so is the lower end of its interval, and the upper one may be open.
     """
-    early, late = _resampled(times.values), _resampled(times.latest)
-    value = float(iqm(times.values))
-    bound = "" if float(iqm(times.latest)) == value else "≥"
-    count = len(times.values)
-    low, high = _interval(iqm(early), count)[0], _interval(iqm(late), count)[1]
-    return Estimate(value, low, high, count, bound)
+    value, seeds = float(iqm(times.values)), len(times.values)
+    bound = "" if iqm(times.latest) == value else "≥"
+    low, _ = _interval(iqm(_resampled(times.values)), seeds)
+    _, high = _interval(iqm(_resampled(times.latest)), seeds)
+    return Estimate(value, low, high, seeds, bound)
 
 
 def reduction(ours: ConvergenceTimes, theirs: ConvergenceTimes) -> Estimate:
@@ -135,31 +130,20 @@ def reduction(ours: ConvergenceTimes, theirs: ConvergenceTimes) -> Estimate:
     With rivals that never converged it is at least that, with runs of ours at most, with both
     unknown.
     """
-    count = len(ours.values)
-    drawn = _draws(count)
-    value = 1 - float(iqm(ours.values) / iqm(theirs.values))
-    ours_known = iqm(ours.latest) == iqm(ours.values)
-    theirs_known = iqm(theirs.latest) == iqm(theirs.values)
+    value, seeds = 1 - float(iqm(ours.values) / iqm(theirs.values)), len(ours.values)
+    ours_known, theirs_known = (iqm(each.latest) == iqm(each.values) for each in (ours, theirs))
     bound = {(True, True): "", (True, False): "≥", (False, True): "≤", (False, False): "?"}
-    least = 1 - iqm(ours.latest[drawn]) / iqm(theirs.values[drawn])
-    most = 1 - iqm(ours.values[drawn]) / iqm(theirs.latest[drawn])
-    low, high = _interval(least, count)[0], _interval(most, count)[1]
-    return Estimate(value, low, high, count, bound[bool(ours_known), bool(theirs_known)])
+    drawn = _draws(seeds)
+    low, _ = _interval(1 - iqm(ours.latest[drawn]) / iqm(theirs.values[drawn]), seeds)
+    _, high = _interval(1 - iqm(ours.values[drawn]) / iqm(theirs.latest[drawn]), seeds)
+    return Estimate(value, low, high, seeds, bound[bool(ours_known), bool(theirs_known)])
 
 
 def mean_band(curves: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """The mean curve over seeds, and both ends of its interval, point by point.
-
-    Args:
-        curves: shape (seeds, points).
-
-    Returns:
-        Mean, lower and upper end, each of shape (points,).
-    """
+    """The mean over seeds of curves, shape (seeds, points), and both ends of its interval."""
     found = np.asarray(curves, float)
     means = found[_draws(len(found))].mean(axis=1)
-    tail = (1 - LEVEL) / 2
-    low, high = np.quantile(means, [tail, 1 - tail], axis=0)
+    low, high = np.quantile(means, ENDS, axis=0)
     return found.mean(axis=0), low, high
 
 
@@ -171,25 +155,20 @@ def times(runs: Sequence[Run], unit: str) -> ConvergenceTimes:
         unit: a key of ``UNITS``. Processor seconds are those of the run's process up to that
             evaluation, the evaluations included.
     """
-    found = [_time(run, unit) for run in runs]
-    return ConvergenceTimes(
-        np.array([value for value, _ in found], float), np.array([open_ for _, open_ in found])
-    )
+    found = [run.summary["converged"] for run in runs]
+    values = [
+        float(when[unit]) if when else _not_before(run, unit)
+        for run, when in zip(runs, found, strict=True)
+    ]
+    return ConvergenceTimes(np.array(values), np.array([when is None for when in found]))
 
 
-def _time(run: Run, unit: str) -> tuple[float, bool]:
-    """When a run converged; or from when on it may have, and that it had not when it ended."""
-    found = run.summary["converged"]
-    if found is not None:
-        return float(found[unit]), False
-    ends = {"episode": "episodes", "tick": "ticks", "cpu_s": "cpu_s"}
+def _not_before(run: Run, unit: str) -> float:
+    """From when on a run may have converged that had not when it ended."""
     rows = run.evaluations()
-    streak = 0
-    for success in rows["success"][:-IN_A_ROW:-1]:
-        if success < CONVERGED:
-            break
-        streak += 1
-    return float(rows[unit][-streak] if streak else run.summary[ends[unit]]), True
+    last = rows["success"][:-IN_A_ROW:-1]
+    streak = len(list(takewhile(lambda success: success >= CONVERGED, last)))
+    return float(rows[unit][-streak] if streak else run.summary[LENGTHS[unit]])
 
 
 def _draws(count: int) -> NDArray[np.int64]:
@@ -201,10 +180,9 @@ def _resampled(values: Floats) -> Floats:
     return values[_draws(len(values))]
 
 
-def _interval(resampled: Floats, count: int) -> tuple[float, float]:
+def _interval(resampled: Floats, seeds: int) -> tuple[float, float]:
     """Both ends of the interval; nothing is interpolated, since an end may be infinite."""
-    if count < 2:
+    if seeds < 2:
         return np.nan, np.nan
-    tail = (1 - LEVEL) / 2
-    low, high = np.quantile(resampled, [tail, 1 - tail], method="inverted_cdf")
+    low, high = np.quantile(resampled, ENDS, method="inverted_cdf")
     return float(low), float(high)

@@ -62,20 +62,20 @@ class Claim:
 
     Attributes:
         says: its content.
-        where: it stands in the paper; empty if the paper does not make it.
-        paper: the paper's number; empty if it gives none.
         measure: what our numbers are.
         checks: one for each setting in which it ought to hold, at least one.
+        where: it stands in the paper; empty if the paper does not make it.
+        paper: the paper's number; empty if it gives none.
         pooled: one number over all of them; None where each is told.
         form: how a number is written, such as ".1f".
         scale: times which it is written.
     """
 
     says: str
-    where: str
-    paper: str
     measure: str
     checks: Sequence[Check]
+    where: str = ""
+    paper: str = ""
     pooled: Estimate | None = None
     form: str = ".1f"
     scale: float = 1.0
@@ -96,24 +96,22 @@ class Claim:
         names = tuple(self.checks[0].setting)
         for count in range(1, len(names)):
             for some in combinations(names, count):
-                if len(self._groups(some)) == sum(map(len, self._by_result(some).values())):
+                groups = self._by_result(some).values()
+                if len(set().union(*groups)) == sum(map(len, groups)):
                     return some
         return names
 
     @property
     def detail(self) -> str:
         """Where it holds and where not; empty where it is the same in every setting."""
-        if len(self._by_result(())) == 1:
+        counts = Counter(check.result for check in self.checks)
+        there = [result for result in ClaimResult if counts[result]]
+        if len(there) == 1:
             return ""
         if len(self.axes) == 1:
-            by_result = self._by_result(self.axes)
-            return "; ".join(
-                f"{result.value}: {', '.join(value for (value,) in by_result[result])}"
-                for result in ClaimResult
-                if result in by_result
-            )
-        counts = Counter(check.result for check in self.checks)
-        told = [f"{result.value} in {counts[result]}" for result in ClaimResult if counts[result]]
+            values = self._by_result(self.axes)
+            return "; ".join(f"{r.value}: {', '.join(v for (v,) in values[r])}" for r in there)
+        told = [f"{result.value} in {counts[result]}" for result in there]
         return f"{', '.join(told)} of {len(self.checks)} settings"
 
     @property
@@ -125,9 +123,6 @@ class Claim:
             f"{', '.join(check.setting.values())}: {check.number.text(self.form, self.scale)}"
             for check in self.checks
         )
-
-    def _groups(self, axes: Sequence[str]) -> set[tuple[str, ...]]:
-        return {tuple(check.setting[axis] for axis in axes) for check in self.checks}
 
     def _by_result(self, axes: Sequence[str]) -> dict[ClaimResult, dict[tuple[str, ...], None]]:
         """The values of some axes with which a check comes to each result, in their order."""

@@ -52,12 +52,14 @@ GROUPS: dict[str, tuple[str, ...]] = {
 """What is changed, by theme; the first of a theme is also in the quick scale."""
 
 
-def _variants() -> list[Variant]:
-    """The default, then every change; the first of a theme is quick."""
-    found = [Variant("")]
-    for group, changes in GROUPS.items():
-        found += [Variant(group, change, quick=i == 0) for i, change in enumerate(changes)]
-    return found
+VARIANTS = [
+    Variant(""),
+    *(
+        Variant(group, change, quick=change == changes[0])
+        for group, changes in GROUPS.items()
+        for change in changes
+    ),
+]
 
 
 class Ablations(Comparison):
@@ -70,7 +72,7 @@ class Ablations(Comparison):
         return [*drawn, *super().report(runs, out, quick=quick)]
 
 
-TARGET = Ablations("ablations", _variants(), ("env.robots=3",), THREE_SEEDS)
+TARGET = Ablations("ablations", VARIANTS, ("env.robots=3",), THREE_SEEDS)
 
 
 def _draw(changes: Sequence[Change]) -> Figure:
@@ -80,7 +82,7 @@ def _draw(changes: Sequence[Change]) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     places = np.arange(len(rows))
     for axes, key, label in ((left, "success", "success"), (right, "ee", "EE in bit/s/Hz/J")):
-        found = [change.differences[key] for change in rows]
+        found = [change.estimates[f"{key}_difference"] for change in rows]
         axes.axvline(0.0, color="#999999", linewidth=0.8)
         for place, each in zip(places, found, strict=True):
             axes.plot([each.low, each.high], [place, place], color="#2e86de", linewidth=2)
@@ -89,7 +91,7 @@ def _draw(changes: Sequence[Change]) -> Figure:
         plain(axes)
     left.set_yticks(places, [change.variant.label for change in rows], fontsize=9)
     left.invert_yaxis()
-    seeds = max(change.values["success"].count for change in changes)
+    seeds = max(change.estimates["success"].seeds for change in changes)
     figure.suptitle(
         f"K = 3, one thing changed: interquartile mean of {seeds} paired differences, 95 %"
         " bootstrap interval",

@@ -6,11 +6,11 @@ Runs of the quick scale are as long as those of the full one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 
 from experiments.reproduce.results.runs import Run
 from experiments.reproduce.targets.bytes import packed
-from experiments.reproduce.targets.comparison import Comparison, Variant
+from experiments.reproduce.targets.comparison import Column, Comparison, Variant
 from experiments.reproduce.targets.plan import THREE_SEEDS
 from training.exchange.airtime import left_over
 
@@ -24,26 +24,18 @@ NOTE = (
 )
 
 
-def _lost(run: Run) -> float:
-    return 100.0 * _scaled(run, BANDS["1 MHz"])[0]
-
-
-def _counted(bandwidth_hz: float) -> Callable[[Run], float]:
-    """EE with the exchange counted, in a band of this width."""
-
-    def found(run: Run) -> float:
-        account = run.summary["airtime"]
-        share, joules = _scaled(run, bandwidth_hz)
-        return float(account["ee"]) * left_over(share, joules, account["driving_joules"])
-
-    return found
-
-
-def _scaled(run: Run, bandwidth_hz: float) -> tuple[float, float]:
+def _scaled(bandwidth_hz: float, run: Run) -> tuple[float, float]:
     """Share of all slots and joules that a run's exchanges take in a band of this width."""
     account = run.summary["airtime"]
     wider = run.config.federation.airtime.bandwidth_hz / bandwidth_hz
     return wider * account["share"], wider * account["joules"]
+
+
+def _counted(bandwidth_hz: float, run: Run) -> float:
+    """EE with the exchange counted, in a band of this width."""
+    account = run.summary["airtime"]
+    left = left_over(*_scaled(bandwidth_hz, run), account["driving_joules"])
+    return float(account["ee"]) * left
 
 
 VARIANTS = (
@@ -66,9 +58,8 @@ TARGET = Comparison(
     THREE_SEEDS,
     quick_common=(),
     extra={
-        "slots lost, %": _lost,
-        **{f"EE at {name}": _counted(each) for name, each in BANDS.items()},
+        "slots lost, %": Column(lambda run: 100.0 * _scaled(BANDS["1 MHz"], run)[0], ".3f"),
+        **{f"EE at {name}": Column(partial(_counted, hz), ".4f") for name, hz in BANDS.items()},
     },
-    formats={"slots lost, %": ".3f", **{f"EE at {name}": ".4f" for name in BANDS}},
     note=NOTE,
 )

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.reproduce.results.output import Row, write_table
+from experiments.reproduce.results.output import write_table
 from experiments.reproduce.results.runs import Run
-from experiments.reproduce.targets.comparison import Change, Comparison, Variant
+from experiments.reproduce.targets.comparison import Change, Column, Comparison, Variant
 from experiments.reproduce.targets.plan import THREE_SEEDS
 
 RULES = {
@@ -36,15 +36,11 @@ def _variant(robots: int, hostile: int, attack: str, rule: str) -> Variant:
     chosen = RULES[rule] + (CUT_TWO if robots == 6 and rule == "trimmed mean" else "")
     false = "attack=none" if attack == "none" else f"attack={attack} attack.robots={hostile}"
     return Variant(
-        _row(robots, hostile, attack),
+        f"K = {robots}, " + (attack if attack == "none" else f"{hostile} hostile: {attack}"),
         f"env.robots={robots} {chosen} {false}" + (LEVELS if robots == 7 else ""),
         f"K={robots} {attack}, {rule}",
         quick=robots == 4 and attack == "flip" and rule in ("mean", "median"),
     )
-
-
-def _row(robots: int, hostile: int, attack: str) -> str:
-    return f"K = {robots}, " + (attack if attack == "none" else f"{hostile} hostile: {attack}")
 
 
 def _variants() -> list[Variant]:
@@ -66,18 +62,14 @@ class Attacks(Comparison):
     """See the module: a row for each attack, a column for each rule."""
 
     def _write_table(self, path: Path, changes: Sequence[Change]) -> Path:
-        cells = {
-            (each.variant.group, _rule(each)): f"{each.extra[HONEST].value:.2f}" for each in changes
-        }
-        groups = dict.fromkeys(each.variant.group for each in changes)
-        rows: list[Row] = [
-            (group, *(cells.get((group, rule), "-") for rule in RULES)) for group in groups
+        found: dict[str, dict[str, str]] = {}
+        for each in changes:
+            rule = each.variant.name.split(", ")[1]
+            found.setdefault(each.variant.group, {})[rule] = f"{each.estimates[HONEST].value:.2f}"
+        rows = [
+            (group, *(cells.get(rule, "-") for rule in RULES)) for group, cells in found.items()
         ]
         return write_table(path, ("", *RULES), rows, self.note)
-
-
-def _rule(change: Change) -> str:
-    return change.variant.name.split(", ")[1]
 
 
 TARGET = Attacks(
@@ -86,6 +78,6 @@ TARGET = Attacks(
     ("train.max_ticks=15000", "train.episodes=100000"),
     THREE_SEEDS,
     quick_common=("train.max_ticks=5000",),
-    extra={HONEST: honest_arrivals},
+    extra={HONEST: Column(honest_arrivals, ".2f")},
     note=NOTE,
 )

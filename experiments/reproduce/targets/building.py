@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,14 +16,7 @@ from conf import Config, ap_network, robot_network
 from conf.rooms import Room
 from experiments.analysis.optimality_gap import shortest_best_measures
 from experiments.analysis.rooms import of_room
-from experiments.reproduce.results.output import (
-    QUICK,
-    Row,
-    plain,
-    save_figure,
-    write_csv,
-    write_table,
-)
+from experiments.reproduce.results.output import plain, save_figure, write_csv, write_table
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.results.statistics import Estimate, estimate
 from experiments.reproduce.targets.plan import Cell
@@ -42,22 +34,7 @@ ADAPTED = 240
 
 ROOMS = "R = {}"
 LONGER = "R = 4, as many steps in all as R = 16"
-OWN = "R = 16, access points not averaged"
-PART = "R = 16, a third of the rooms missing in each round"
-OPEN = "R = 64, the default plan, map seeds apart"
 
-HEADER = (
-    "rooms",
-    "success, held-out",
-    "EE there, % of the rule's",
-    f"after {ADAPTED} ticks there: success",
-    "EE, %",
-    "success, trained in",
-    "EE there, %",
-    "joint steps, 1000",
-    "between rooms, MB",
-    "CPU s",
-)
 NOTE = (
     "Frozen final weights, greedy, in {held_out} held-out rooms and in at most as many of those"
     " trained in, 50 held-out starts each; EE is objective (5a), and the rule drives shortest ways"
@@ -67,47 +44,24 @@ NOTE = (
     " training run with its evaluations, local learning apart."
 )
 MEASURES = {
-    "success": (".3f", 1.0),
-    "ee_share": (".1f", 100.0),
-    "adapted_success": (".3f", 1.0),
-    "adapted_share": (".1f", 100.0),
-    "trained_success": (".3f", 1.0),
-    "trained_share": (".1f", 100.0),
-    "steps": (".0f", 1e-3),
-    "megabytes": (".1f", 1.0),
-    "cpu_s": (".0f", 1.0),
+    "success": ("success, held-out", ".3f", 1.0),
+    "ee_share": ("EE there, % of the rule's", ".1f", 100.0),
+    "adapted_success": (f"after {ADAPTED} ticks there: success", ".3f", 1.0),
+    "adapted_share": ("EE, %", ".1f", 100.0),
+    "trained_success": ("success, trained in", ".3f", 1.0),
+    "trained_share": ("EE there, %", ".1f", 100.0),
+    "steps": ("joint steps, 1000", ".0f", 1e-3),
+    "megabytes": ("between rooms, MB", ".1f", 1.0),
+    "cpu_s": ("CPU s", ".0f", 1.0),
 }
-"""How each is written, and times what."""
+"""What a run comes to: its column's title, how each is written, and times what.
 
+Success is the share of the robots that arrive; shares are of the rule's energy efficiency (5a);
+steps are joint ones, of all worlds in all rooms.
+"""
 
-class BuildingOutcome(NamedTuple):
-    """What a building came to with one seed.
-
-    Attributes:
-        rooms: the cell's name.
-        seed: the run's.
-        success: share of the robots that arrive in held-out rooms.
-        ee_share: their energy efficiency, objective (5a), as a share of the rule's there.
-        adapted_success: success after local learning.
-        adapted_share: EE after it.
-        trained_success: success in rooms trained in.
-        trained_share: EE there.
-        steps: joint steps of all worlds in all rooms.
-        megabytes: of weights between rooms.
-        cpu_s: processor time of the run in s.
-    """
-
-    rooms: str
-    seed: int
-    success: float
-    ee_share: float
-    adapted_success: float
-    adapted_share: float
-    trained_success: float
-    trained_share: float
-    steps: float
-    megabytes: float
-    cpu_s: float
+Estimates = dict[str, dict[str, Estimate]]
+"""Of each cell every measure."""
 
 
 class Building:
@@ -123,29 +77,38 @@ class Building:
         cells = [_cell(ROOMS.format(count), count, seeds, *short) for count in counts]
         if quick:
             return cells
-        return [
-            *cells,
-            _cell(LONGER, 4, seeds, *_ticks(4 * TICKS)),
-            _cell(OWN, 16, seeds, "rooms.access_points=own"),
-            _cell(PART, 16, seeds, "rooms.fraction=0.6667"),
-            _cell(OPEN, 64, seeds, "rooms.plans=[]"),
-        ]
+        others = (
+            (LONGER, 4, _ticks(4 * TICKS)),
+            ("R = 16, access points not averaged", 16, ("rooms.access_points=own",)),
+            ("R = 16, a third of the rooms missing in each round", 16, ("rooms.fraction=0.6667",)),
+            ("R = 64, the default plan, map seeds apart", 64, ("rooms.plans=[]",)),
+        )
+        return cells + [_cell(name, count, seeds, *changes) for name, count, changes in others]
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
         """See ``Target``."""
-        found = [outcome(name, run) for name, each in runs.items() for run in each.values()]
-        made = estimates(found)
-        rows: list[Row] = [
-            (name, *(measured[key].text(*how) for key, how in MEASURES.items()))
-            for name, measured in made.items()
+        found = {
+            name: {seed: measures(run) for seed, run in by_seed.items()}
+            for name, by_seed in runs.items()
+        }
+        made = {
+            name: {key: estimate([each[key] for each in some.values()]) for key in MEASURES}
+            for name, some in found.items()
+        }
+        rows = [
+            (name, *(of[key].text(form, scale) for key, (_, form, scale) in MEASURES.items()))
+            for name, of in made.items()
         ]
-        seeds = ", ".join(map(str, sorted({each.seed for each in found})))
+        each = [
+            (name, seed, *of.values()) for name, some in found.items() for seed, of in some.items()
+        ]
+        header = ("rooms", *(title for title, *_ in MEASURES.values()))
+        seeds = ", ".join(map(str, sorted({seed for some in found.values() for seed in some})))
         note = NOTE.format(held_out=HELD_OUT, seeds=seeds)
-        note = f"{note} {QUICK.capitalize()}." if quick else note
         return [
             *save_figure(_drawn(made), out, self.name, quick=quick),
-            write_table(out / "building.md", HEADER, rows, note),
-            write_csv(out / "building_runs.csv", BuildingOutcome._fields, found),
+            write_table(out / "building.md", header, rows, note, quick=quick),
+            write_csv(out / "building_runs.csv", ("rooms", "seed", *MEASURES), each),
         ]
 
 
@@ -167,34 +130,22 @@ def _ticks(count: int) -> tuple[str, ...]:
     )
 
 
-def outcome(name: str, run: Run) -> BuildingOutcome:
-    """What a run came to.
+def measures(run: Run) -> dict[str, float]:
+    """What a run came to, by ``MEASURES``.
 
     Raises:
         ConfigError: its weights are missing or damaged.
     """
-    config = run.config
+    config, ticks = run.config, run.summary["rooms"]["ticks"]
     rooms = known_rooms(config, run.files)
-    held_out = [room for room in rooms if room.held_out]
     trained = [room for room in rooms if not room.held_out][:HELD_OUT]
-    unseen = [_greedy(run, room, ADAPTED) for room in held_out]
+    unseen = [_greedy(run, room, ADAPTED) for room in rooms if room.held_out]
     seen = [_greedy(run, room, 0) for room in trained]
-    return BuildingOutcome(
-        name,
-        run.seed,
-        *_means([first for first, _ in unseen]),
-        *_means([adapted for _, adapted in unseen]),
-        *_means([first for (first,) in seen]),
-        config.train.worlds * sum(run.summary["rooms"]["ticks"]),
-        _megabytes(config, trained[0], run.summary["rooms"]["ticks"]),
-        run.summary["cpu_s"],
-    )
-
-
-def _means(scores: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Of success and of EE, rooms counted alike."""
-    success, share = zip(*scores, strict=True)
-    return mean([*success]), mean([*share])
+    policies = [*zip(*unseen, strict=True), *zip(*seen, strict=True)]
+    means = [mean([*scores]) for policy in policies for scores in zip(*policy, strict=True)]
+    steps = config.train.worlds * sum(ticks)
+    megabytes = _megabytes(config, trained[0], ticks)
+    return dict(zip(MEASURES, [*means, steps, megabytes, run.summary["cpu_s"]], strict=True))
 
 
 def _greedy(run: Run, room: Room, ticks: int) -> list[tuple[float, float]]:
@@ -204,8 +155,8 @@ def _greedy(run: Run, room: Room, ticks: int) -> list[tuple[float, float]]:
     rule = shortest_best_measures(evaluator).summary()["ee"]
     scores = []
     for model, ap in policies:
-        (measures,) = evaluator.play(model[None], ap, (0.0,))
-        found = measures.summary()
+        (played,) = evaluator.play(model[None], ap, (0.0,))
+        found = played.summary()
         scores.append((found["success"], found["ee"] / rule))
     return scores
 
@@ -218,20 +169,6 @@ def _megabytes(config: Config, room: Room, ticks: Sequence[int]) -> float:
         count += ap_network(own).parameters
     rounds = sum(ticks) / (config.rooms.every * config.federation.every)
     return 2 * 2 * 4 * count * rounds / 1e6
-
-
-Estimates = dict[str, dict[str, Estimate]]
-
-
-def estimates(found: Sequence[BuildingOutcome]) -> Estimates:
-    """Interquartile means over seeds with intervals, in the order of the outcomes."""
-    groups: dict[str, list[BuildingOutcome]] = {}
-    for each in found:
-        groups.setdefault(each.rooms, []).append(each)
-    return {
-        name: {key: estimate([getattr(each, key) for each in some]) for key in MEASURES}
-        for name, some in groups.items()
-    }
 
 
 def _drawn(made: Estimates) -> Figure:
@@ -247,12 +184,8 @@ def _drawn(made: Estimates) -> Figure:
             (f"trained_{measure}", "rooms trained in"),
         )
         for (key, name), marker in zip(lines, "osd", strict=True):
-            points = [made[ROOMS.format(count)][key] for count in counts]
-            scale = 100.0 if measure == "share" else 1.0
-            value, low, high = (
-                scale * np.array([getattr(point, end) for point in points])
-                for end in ("value", "low", "high")
-            )
+            points = np.array([made[ROOMS.format(count)][key][:3] for count in counts])
+            value, low, high = points.T * (100.0 if measure == "share" else 1.0)
             panel.errorbar(
                 counts, value, (value - low, high - value), marker=marker, capsize=3, label=name
             )

@@ -6,8 +6,7 @@ are as long as those of the full one, since what counts is success at the end.
 
 from __future__ import annotations
 
-from experiments.reproduce.results.runs import Run
-from experiments.reproduce.targets.comparison import NOTE, Comparison, Variant
+from experiments.reproduce.targets.comparison import NOTE, Column, Comparison, Variant
 from experiments.reproduce.targets.plan import THREE_SEEDS
 
 SMALL = "agent.hidden=[32,32]"
@@ -19,12 +18,8 @@ def packed(kind: str) -> str:
     return " ".join(f"federation.compression.{key}" for key in keys)
 
 
-def _window(run: Run) -> float:
-    return float(run.summary["communication"]["weights_per_window"])
-
-
-def _ratio(run: Run) -> float:
-    return float(run.summary["communication"]["weights_over_transitions"])
+def _sent(key: str, form: str) -> Column:
+    return Column(lambda run: run.summary["communication"][key], form)
 
 
 VARIANTS = (
@@ -47,7 +42,9 @@ TARGET = Comparison(
     ("env.robots=3",),
     THREE_SEEDS,
     quick_common=(),
-    extra={"bytes a window": _window, "weights over transitions": _ratio},
-    formats={"bytes a window": ",.0f", "weights over transitions": ".2f"},
+    extra={
+        "bytes a window": _sent("weights_per_window", ",.0f"),
+        "weights over transitions": _sent("weights_over_transitions", ".2f"),
+    },
     note=f"{NOTE} Bytes are those of all robots, up and down; packed ones have no target networks.",
 )

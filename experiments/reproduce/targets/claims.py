@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.reproduce.results.output import QUICK, Row, write_csv, write_table
+from experiments.reproduce.results.output import write_csv, write_table
 from experiments.reproduce.results.runs import Runs
 from experiments.reproduce.results.verdicts import Claim
 from experiments.reproduce.targets import fig3, fig4, fig5
-from experiments.reproduce.targets.claims_efficiency import fig4_claims
-from experiments.reproduce.targets.claims_quality import fig5_claims
+from experiments.reproduce.targets.claims_radio import fig4_claims, fig5_claims
 from experiments.reproduce.targets.claims_training import training_claims
 from experiments.reproduce.targets.plan import Cell
 
@@ -31,27 +30,20 @@ NOTE = (
 
 
 class Claims:
-    """The target ``claims``.
-
-    Args:
-        processes: that plan trajectories at once; the cores if None.
-    """
+    """The target ``claims``."""
 
     name = "claims"
-
-    def __init__(self, processes: int | None = None) -> None:
-        self._processes = processes
 
     def cells(self, quick: bool) -> list[Cell]:
         """See ``Target``: those of Figs. 3, 4 and 5."""
         return [cell for each in (fig3, fig4, fig5) for cell in each.TARGET.cells(quick)]
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
-        """See ``Target``; planned values are kept in ``planned.csv``, as Figs. 4 and 5 do."""
+        """See ``Target``."""
         file = out / "planned.csv"
         of_fig3 = {cell.name: runs[cell.name] for cell in fig3.TARGET.cells(quick)}
-        outcomes = fig4.outcomes(runs, fig4.settings(quick), file, self._processes)
-        held_out = fig5.held_out(runs, fig5.settings(quick), file, self._processes)
+        outcomes = fig4.outcomes(runs, fig4.settings(quick), file)
+        held_out = fig5.held_out(runs, fig5.settings(quick), file)
         claims = [*training_claims(of_fig3), *fig4_claims(outcomes), *fig5_claims(held_out)]
         return [
             _write_table(out / "claims.md", claims, quick),
@@ -66,12 +58,12 @@ TARGET = Claims()
 
 def _write_table(path: Path, claims: Sequence[Claim], quick: bool) -> Path:
     header = ("the paper says", "where", "its number", "ours is", "ours", "verdict")
-    rows: list[Row] = []
+    rows = []
     for claim in claims:
         verdict = f"**{claim.verdict}**" + (f" ({claim.detail})" if claim.detail else "")
         where = claim.where or OURS
         rows.append((claim.says, where, claim.paper, claim.measure, claim.ours, verdict))
-    return write_table(path, header, rows, f"{NOTE} {QUICK.capitalize()}." if quick else NOTE)
+    return write_table(path, header, rows, NOTE, quick=quick)
 
 
 def _write_claims(path: Path, claims: Sequence[Claim]) -> Path:
@@ -87,13 +79,11 @@ def _write_checks(path: Path, claims: Sequence[Claim]) -> Path:
     """A row a setting."""
     header = ("claim", "measure", "setting", "side", "threshold")
     number = ("value", "low", "high", "count", "bound")
-    rows: list[Row] = []
+    rows = []
     for claim in claims:
         for check in claim.checks:
             setting = ", ".join(check.setting.values())
             side = "above" if check.above else "below"
-            found = check.number
-            numbers = (found.value, found.low, found.high, found.count, found.bound)
             of = (claim.says, claim.measure, setting, side, check.threshold)
-            rows.append((*of, *numbers, check.result.value))
+            rows.append((*of, *check.number, check.result.value))
     return write_csv(path, (*header, *number, "result"), rows)

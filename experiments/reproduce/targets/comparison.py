@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from experiments.reproduce.results import statistics
 from experiments.reproduce.results.output import Row, write_csv, write_table
 from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.results.statistics import Estimate, Floats, difference
+from experiments.reproduce.results.statistics import Estimate, Floats, difference, estimate
 from experiments.reproduce.targets.plan import QUICK_SEEDS, Cell
 
 MEASURES = {"success": ".2f", "path_ratio": ".3f", "ee": ".4f", "sum_rate": ".1f"}
@@ -52,19 +53,21 @@ class Change:
 
     Attributes:
         variant: which.
-        values: of each measure, with its interval.
-        differences: from the baseline, seed by seed.
-        converged: in episodes.
+        estimates: by name: of each measure ``NAME``, its ``NAME_difference`` from the baseline seed
+            by seed, ``converged_episode``, and the columns of a target's own.
         there: runs that converged.
-        extra: of each column of a target's own.
     """
 
     variant: Variant
-    values: dict[str, Estimate]
-    differences: dict[str, Estimate]
-    converged: Estimate
+    estimates: dict[str, Estimate]
     there: int
-    extra: dict[str, Estimate]
+
+
+class Column(NamedTuple):
+    """A column of a target's own: what a run has to say there, and how a number is written."""
+
+    of: Callable[[Run], float]
+    form: str
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,7 @@ class Comparison:
         common: overrides of all.
         seeds: of the full scale.
         quick_common: overrides of the quick scale beside them.
-        extra: columns of its own: what a run has to say there, by title.
-        formats: of those columns.
+        extra: columns of its own, by title.
         note: beneath the table.
     """
 
@@ -87,19 +89,17 @@ class Comparison:
     common: tuple[str, ...]
     seeds: tuple[int, ...]
     quick_common: tuple[str, ...] = ("train.episodes=150",)
-    extra: Mapping[str, Callable[[Run], float]] = field(default_factory=dict)
-    formats: Mapping[str, str] = field(default_factory=dict)
+    extra: Mapping[str, Column] = field(default_factory=dict)
     note: str = NOTE
 
     def cells(self, quick: bool) -> list[Cell]:
         """See ``Target``."""
         seeds = QUICK_SEEDS if quick else self.seeds
         common = (*self.common, *(self.quick_common if quick else ()))
-        first = self.variants[0]
         return [
             Cell(each.label, (*common, *each.overrides.split()), seeds)
             for each in self.variants
-            if each is first or each.quick or not quick
+            if each is self.variants[0] or each.quick or not quick
         ]
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
@@ -114,58 +114,54 @@ class Comparison:
     def changes(self, runs: Runs) -> list[Change]:
         """Every variant that was trained, the baseline first."""
         baseline = runs[self.variants[0].label]
-        found = []
-        for variant in self.variants:
-            if variant.label not in runs:
-                continue
-            ours = [runs[variant.label][seed] for seed in sorted(runs[variant.label])]
-            theirs = [baseline[run.seed] for run in ours]
-            times = statistics.times(ours, "episode")
-            found.append(
-                Change(
-                    variant,
-                    {key: statistics.estimate(last5(ours, key)) for key in MEASURES},
-                    {key: difference(last5(ours, key), last5(theirs, key)) for key in MEASURES},
-                    statistics.converged(times),
-                    int((~times.censored).sum()),
-                    {
-                        title: statistics.estimate(np.array([value(run) for run in ours]))
-                        for title, value in self.extra.items()
-                    },
-                )
-            )
-        return found
+        return [
+            self._change(variant, runs[variant.label], baseline)
+            for variant in self.variants
+            if variant.label in runs
+        ]
+
+    def _change(
+        self, variant: Variant, by_seed: Mapping[int, Run], baseline: Mapping[int, Run]
+    ) -> Change:
+        ours, theirs = ([each[seed] for seed in sorted(by_seed)] for each in (by_seed, baseline))
+        times = statistics.times(ours, "episode")
+        estimates = {key: estimate(last5(ours, key)) for key in MEASURES}
+        for key in MEASURES:
+            estimates[f"{key}_difference"] = difference(last5(ours, key), last5(theirs, key))
+        estimates["converged_episode"] = statistics.converged(times)
+        for title, column in self.extra.items():
+            estimates[title] = estimate([column.of(run) for run in ours])
+        return Change(variant, estimates, int((~times.censored).sum()))
 
     def _write_table(self, path: Path, changes: Sequence[Change]) -> Path:
-        header = ("", "changed", *self.extra, "success", "path ratio", "EE", "converged")
+        shown = {title: column.form for title, column in self.extra.items()}
+        shown |= {key: MEASURES[key] for key in ("success", "path_ratio", "ee")}
         rows: list[Row] = []
         for change in changes:
-            own = [change.extra[title].text(self.formats.get(title, ".3g")) for title in self.extra]
-            values = [
-                change.values[key].text(MEASURES[key]) for key in ("success", "path_ratio", "ee")
+            variant, found = change.variant, change.estimates
+            when = found["converged_episode"]
+            deltas = [
+                found[f"{key}_difference"].text(f"+{MEASURES[key]}") for key in ("success", "ee")
             ]
-            when = f"{change.converged.text('.0f')}, {change.there} of {change.converged.count}"
-            keys = ("success", "ee")
-            deltas = [change.differences[key].text("+" + MEASURES[key]) for key in keys]
-            if change is changes[0]:
-                deltas = ["", ""]
-            label = change.variant.label
-            shown = label if change.variant.name else f"`{label}`"
-            rows.append((change.variant.group, shown, *own, *values, when, *deltas))
+            rows.append(
+                (
+                    variant.group,
+                    variant.label if variant.name else f"`{variant.label}`",
+                    *(found[key].text(form) for key, form in shown.items()),
+                    f"{when.text('.0f')}, {change.there} of {when.seeds}",
+                    *(("", "") if change is changes[0] else deltas),
+                )
+            )
+        header = ("", "changed", *self.extra, "success", "path ratio", "EE", "converged")
         return write_table(path, (*header, "Δ success", "Δ EE"), rows, self.note)
 
     def _write_csv(self, path: Path, changes: Sequence[Change]) -> Path:
-        header = ("group", "changed", "measure", "value", "low", "high", "seeds", "bound")
-        rows: list[Row] = []
-        for change in changes:
-            named = {key: change.values[key] for key in MEASURES}
-            named |= {f"{key}_difference": change.differences[key] for key in MEASURES}
-            named["converged_episode"] = change.converged
-            named |= change.extra
-            rows += [
-                (change.variant.group, change.variant.label, key, *_numbers(estimate))
-                for key, estimate in named.items()
-            ]
+        header = ("group", "changed", "measure", *Estimate._fields)
+        rows = [
+            (change.variant.group, change.variant.label, key, *numbers)
+            for change in changes
+            for key, numbers in change.estimates.items()
+        ]
         return write_csv(path, header, rows)
 
     def _write_runs(self, path: Path, runs: Runs) -> Path:
@@ -175,7 +171,7 @@ class Comparison:
             for seed, run in by_seed.items():
                 when = (run.summary["converged"] or {}).get("episode")
                 values = [float(last5([run], key)[0]) for key in MEASURES]
-                own = [value(run) for value in self.extra.values()]
+                own = [float(column.of(run)) for column in self.extra.values()]
                 rows.append((name, seed, *values, when, *own))
         header = ("changed", "seed", *MEASURES, "converged_episode", *self.extra)
         return write_csv(path, header, rows)
@@ -185,7 +181,3 @@ def last5(runs: Sequence[Run], measure: str) -> Floats:
     """A measure of each run, the mean over its last five evaluations; nan where nobody arrived."""
     found = [run.summary["evaluation"]["last5"][measure] for run in runs]
     return np.array([np.nan if value is None else value for value in found], float)
-
-
-def _numbers(estimate: Estimate) -> tuple[float, float, float, int, str]:
-    return estimate.value, estimate.low, estimate.high, estimate.count, estimate.bound

@@ -6,18 +6,19 @@ not have: centralized DQN with branching heads.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.reproduce.results import statistics
-from experiments.reproduce.results.output import Row, plain, save_figure, write_csv, write_table
+from experiments.reproduce.results.output import plain, save_figure, write_csv, write_table
 from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.results.statistics import UNITS, Floats
+from experiments.reproduce.results.statistics import UNITS, Estimate, Floats, estimate
+from experiments.reproduce.targets.comparison import last5
 from experiments.reproduce.targets.plan import QUICK_SEEDS, SEEDS, Cell
 from training.recording.figures import running_mean
 from training.recording.history import CONVERGED
@@ -50,8 +51,7 @@ NOTE = (
 )
 
 
-@dataclass(frozen=True)
-class Curve:
+class Curve(NamedTuple):
     """A mean over seeds and its interval.
 
     Attributes:
@@ -65,6 +65,10 @@ class Curve:
     high: Floats
 
 
+Estimates = dict[str, dict[str, Estimate]]
+"""Of each name an estimate in each of ``UNITS``."""
+
+
 class Fig3:
     """See the module."""
 
@@ -72,21 +76,19 @@ class Fig3:
 
     def cells(self, quick: bool) -> list[Cell]:
         """See ``Target``."""
-        seeds, episodes = (QUICK_SEEDS, (150, 250)) if quick else (SEEDS, (300, 600))
-        ends = tuple(f"train.episodes={count}" for count in episodes)
-        two = "env.robots=2"
-        rivals = [
-            Cell(name, (f"baseline={baseline}", two, end, *TUNED[name]), seeds)
-            for name, baseline, end in (
-                (CENTRALIZED, "centralized", ends[1]),
-                (BRANCHING, "branching", ends[0]),
-            )
-        ]
-        federated = [
-            Cell(FEDERATED.format(k), (f"env.robots={k}", ends[0]), seeds)
+        seeds, episodes, longer = (QUICK_SEEDS, 150, 250) if quick else (SEEDS, 300, 600)
+        end = f"train.episodes={episodes}"
+        cells = [
+            Cell(FEDERATED.format(k), (f"env.robots={k}", end), seeds)
             for k in ((2, 3, 4) if quick else (2, 3, 4, 5, 6))
         ]
-        return [*federated, *rivals]
+        for name, baseline, its_end in (
+            (CENTRALIZED, "centralized", f"train.episodes={longer}"),
+            (BRANCHING, "branching", end),
+        ):
+            own = (f"baseline={baseline}", "env.robots=2", its_end, *TUNED[name])
+            cells.append(Cell(name, own, seeds))
+        return cells
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
         """See ``Target``."""
@@ -94,14 +96,20 @@ class Fig3:
         rewards = {name: reward_curve(found) for name, found in each.items()}
         successes = {name: success_curve(found) for name, found in each.items()}
         figure = _draw(rewards, successes, len(next(iter(each.values()))))
+        converged = {
+            name: {unit: statistics.converged(statistics.times(found, unit)) for unit in UNITS}
+            for name, found in each.items()
+        }
+        reduced = {rival: reductions(each[OURS], each[rival]) for rival in RIVALS}
         return [
             *save_figure(figure, out, self.name, quick=quick),
             _write_curves(out / "fig3.csv", rewards),
             _write_curves(out / "fig3_success.csv", successes),
             _write_runs(out / "fig3_runs.csv", each),
-            _write_convergence(out / "fig3_convergence.md", each),
-            _write_reductions(out / "fig3_reductions.md", each),
-            *_write_estimates(out, each),
+            _write_convergence(out / "fig3_convergence.md", each, converged),
+            _write_reductions(out / "fig3_reductions.md", reduced),
+            _write_estimates(out / "fig3_convergence.csv", converged),
+            _write_estimates(out / "fig3_reductions.csv", reduced),
         ]
 
 
@@ -152,15 +160,21 @@ def _draw_curve(axes: Axes, name: str, curve: Curve) -> None:
     axes.plot(curve.episode, curve.mean, color=colour, linewidth=1.5, label=name)
 
 
+def reductions(ours: Sequence[Run], theirs: Sequence[Run]) -> dict[str, Estimate]:
+    """How much less ours take until they converge, as a share, in each of ``UNITS``."""
+    return {
+        unit: statistics.reduction(*(statistics.times(runs, unit) for runs in (ours, theirs)))
+        for unit in UNITS
+    }
+
+
 def _write_curves(path: Path, curves: dict[str, Curve]) -> Path:
     rows = [
-        (name, int(episode), float(mean), float(low), float(high))
+        (name, int(episode), *map(float, band))
         for name, curve in curves.items()
-        for episode, mean, low, high in zip(
-            curve.episode, curve.mean, curve.low, curve.high, strict=True
-        )
+        for episode, *band in zip(*curve, strict=True)
     ]
-    return write_csv(path, ("cell", "episode", "mean", "low", "high"), rows)
+    return write_csv(path, ("cell", *Curve._fields), rows)
 
 
 def _write_runs(path: Path, each: dict[str, list[Run]]) -> Path:
@@ -170,54 +184,38 @@ def _write_runs(path: Path, each: dict[str, list[Run]]) -> Path:
     for name, runs in each.items():
         for run in runs:
             found, last = run.summary["converged"] or {}, run.summary["evaluation"]
-            measures = [last["last5"][key] for key in ("success", "path_ratio", "ee")]
-            measures.insert(1, last["last5_greedy"]["success"])
+            success, path_ratio, ee = (last["last5"][k] for k in ("success", "path_ratio", "ee"))
+            measures = success, last["last5_greedy"]["success"], path_ratio, ee
             times = [found.get(unit) for unit in UNITS]
             rows.append((name, run.seed, *times, *measures, run.summary["cpu_s"]))
     return write_csv(path, header, rows)
 
 
-def _write_convergence(path: Path, each: dict[str, list[Run]]) -> Path:
+def _write_convergence(path: Path, each: dict[str, list[Run]], converged: Estimates) -> Path:
     rows = []
     for name, runs in each.items():
-        found = [statistics.times(runs, unit) for unit in UNITS]
-        there = int((~found[0].censored).sum())
-        last5 = statistics.estimate([r.summary["evaluation"]["last5"]["success"] for r in runs])
-        cells = [statistics.converged(times).text(".0f") for times in found]
-        rows.append((name, f"{there} of {len(runs)}", *cells, last5.text(".2f")))
+        there = sum(run.summary["converged"] is not None for run in runs)
+        success = estimate(last5(runs, "success"))
+        cells = [found.text(".0f") for found in converged[name].values()]
+        rows.append((name, f"{there} of {len(runs)}", *cells, success.text(".2f")))
     header = ("", "converged", *UNITS.values(), "success, last five evaluations")
     return write_table(path, header, rows, NOTE)
 
 
-def _write_reductions(path: Path, each: dict[str, list[Run]]) -> Path:
-    rows = []
-    for rival in RIVALS:
-        cells = [_reduction(each, rival, unit).text(".0f", 100.0) for unit in UNITS]
-        rows.append((f"{OURS}, against {rival}", *cells))
+def _write_reductions(path: Path, reduced: Estimates) -> Path:
+    rows = [
+        (f"{OURS}, against {rival}", *(found.text(".0f", 100.0) for found in by_unit.values()))
+        for rival, by_unit in reduced.items()
+    ]
     header = ("less, in %", *UNITS.values())
     return write_table(path, header, rows, NOTE + " Below zero: ours takes longer.")
 
 
-def _reduction(each: dict[str, list[Run]], rival: str, unit: str) -> statistics.Estimate:
-    ours, theirs = (statistics.times(each[name], unit) for name in (OURS, rival))
-    return statistics.reduction(ours, theirs)
-
-
-def _write_estimates(out: Path, each: dict[str, list[Run]]) -> list[Path]:
-    """Both tables as numbers."""
-    header = ("", "unit", "value", "low", "high", "seeds", "bound")
-
-    def rows(names: Sequence[str], of: Callable[[str, str], statistics.Estimate]) -> list[Row]:
-        found = [(name, unit, of(name, unit)) for name in names for unit in UNITS]
-        return [(n, unit, e.value, e.low, e.high, e.count, e.bound) for n, unit, e in found]
-
-    def when(name: str, unit: str) -> statistics.Estimate:
-        return statistics.converged(statistics.times(each[name], unit))
-
-    def less(rival: str, unit: str) -> statistics.Estimate:
-        return _reduction(each, rival, unit)
-
-    return [
-        write_csv(out / "fig3_convergence.csv", header, rows(list(each), when)),
-        write_csv(out / "fig3_reductions.csv", header, rows(RIVALS, less)),
+def _write_estimates(path: Path, estimates: Estimates) -> Path:
+    """A table as numbers."""
+    rows = [
+        (name, unit, *numbers)
+        for name, by_unit in estimates.items()
+        for unit, numbers in by_unit.items()
     ]
+    return write_csv(path, ("", "unit", *Estimate._fields), rows)

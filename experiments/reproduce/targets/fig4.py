@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-from conf import Config, overridden
+from conf import overridden
 from experiments.reproduce.results.output import save_figure, write_csv
 from experiments.reproduce.results.planning import planned_values
-from experiments.reproduce.results.points import (
+from experiments.reproduce.results.runs import Run, Runs
+from experiments.reproduce.targets.fig4_drawing import draw
+from experiments.reproduce.targets.fig4_points import (
     BEST,
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
+    Neighbour,
     Point,
     PointOutcome,
+    neighbours,
     points,
+    write_points,
 )
-from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.targets.fig4_drawing import draw
-from experiments.reproduce.targets.fig4_tables import write_comparisons, write_points
 from experiments.reproduce.targets.plan import QUICK_SEEDS, THREE_SEEDS, Cell
 
 POWERS_DBM = (10, 15, 20, 25, 30)
@@ -65,7 +66,7 @@ class Fig4Setting(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of its cell."""
+        """Its cell's."""
         return f"k{self.robots}-side{self.side}-{self.max_dbm}dbm-{self.access}"
 
     @property
@@ -80,7 +81,7 @@ class Fig4Setting(NamedTuple):
 
     @property
     def best(self) -> str:
-        """Of its cell with ``experiment=best``."""
+        """The name of its cell with ``experiment=best``."""
         return f"{self.name}-best"
 
     @property
@@ -96,30 +97,15 @@ def settings(quick: bool) -> list[Fig4Setting]:
     return [Fig4Setting(*each) for each in product(robots, sides, powers_dbm, ACCESSES)]
 
 
-class Named(Protocol):
-    """What is trained for a part of a figure."""
-
-    @property
-    def name(self) -> str:
-        """Of its cell."""
-
-    @property
-    def overrides(self) -> tuple[str, ...]:
-        """Hydra's."""
-
-
-def cells_of(which: Sequence[Named], quick: bool) -> list[Cell]:
-    """A cell for each part of a figure: three seeds, or a quick one."""
-    seeds, shorter = (QUICK_SEEDS[:1], QUICK) if quick else (THREE_SEEDS, ())
-    return [Cell(each.name, (*each.overrides, *shorter), seeds) for each in which]
-
-
-def best_cells(which: Sequence[Fig4Setting], quick: bool) -> list[Cell]:
-    """A cell of ``experiment=best`` for settings that have it, and seeds as in ``cells_of``."""
-    seeds, shorter = (QUICK_SEEDS[:1], QUICK_BEST) if quick else (THREE_SEEDS, ())
-    best = "experiment=best"
-    own = [each for each in which if each.has_best]
-    return [Cell(each.best, (best, *each.overrides, *shorter), seeds) for each in own]
+def cells_of(
+    settings: Mapping[str, Sequence[str]], quick: bool, shorter: Sequence[str] = QUICK
+) -> list[Cell]:
+    """A cell for each setting's name and overrides: three seeds, or one that is ``shorter``."""
+    seeds = QUICK_SEEDS[:1] if quick else THREE_SEEDS
+    return [
+        Cell(name, (*overrides, *(shorter if quick else ())), seeds)
+        for name, overrides in settings.items()
+    ]
 
 
 class Fig4:
@@ -129,40 +115,27 @@ class Fig4:
     with the exploration of evaluations, the protocol of docs/results.md. ``experiment=best``
     evaluates seldom while it trains, so its points are of the final weights. A planned one is the
     trajectory oracle on ``PLANNED_STARTS`` of each seed.
-
-    Args:
-        processes: that plan trajectories at once; the cores if None.
     """
 
     name = "fig4"
 
-    def __init__(self, processes: int | None = None) -> None:
-        self._processes = processes
-
     def cells(self, quick: bool) -> list[Cell]:
         """A cell for each point after those of ``experiment=best``; in full 60 and 10."""
         which = settings(quick)
-        return [*best_cells(which, quick), *cells_of(which, quick)]
+        best = {each.best: ("experiment=best", *each.overrides) for each in which if each.has_best}
+        plain = {each.name: each.overrides for each in which}
+        return [*cells_of(best, quick, QUICK_BEST), *cells_of(plain, quick)]
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
-        """Writes figure, what it draws, every seed's values, and tables of both.
-
-        Args:
-            runs: every run of ``cells``.
-            out: an existing folder; planned values are kept in its ``planned.csv``.
-            quick: whether the runs are those of a quick figure.
-
-        Returns:
-            The files written.
-        """
-        found = outcomes(runs, settings(quick), out / "planned.csv", self._processes)
+        """Writes figure, what it draws, every seed's values, and tables of both."""
+        found = outcomes(runs, settings(quick), out / "planned.csv")
         with_best = next(each for each in settings(quick) if each.has_best)
         drawn, note = points(found), _note(runs, with_best)
         return [
             *save_figure(draw(drawn, note), out, self.name, quick=quick),
             write_csv(out / "fig4.csv", Point._fields, drawn),
             write_csv(out / "fig4_runs.csv", PointOutcome._fields, found),
-            write_comparisons(out / "fig4_comparisons.csv", found),
+            write_csv(out / "fig4_comparisons.csv", Neighbour._fields, neighbours(found)),
             write_points(out / "fig4.md", drawn, note.replace("\n", " ")),
             out / "planned.csv",
         ]
@@ -171,29 +144,23 @@ class Fig4:
 TARGET = Fig4()
 
 
-def outcomes(
-    runs: Runs, which: Sequence[Fig4Setting], file: Path, processes: int | None = None
-) -> list[PointOutcome]:
-    """What every run came to, and what is planned for its starts.
-
-    Args:
-        runs: every run of the settings.
-        which: the settings.
-        file: keeps planned values.
-        processes: that plan at once.
-    """
+def outcomes(runs: Runs, which: Sequence[Fig4Setting], file: Path) -> list[PointOutcome]:
+    """What every run of the settings came to, and plans for its starts, kept in a file."""
     trained = [(each, run) for each in which for run in runs[each.name].values()]
-    plans = [(each, PLANNED, _fewer_starts(run.config)) for each, run in trained]
+    best = [(each, run) for each in which if each.has_best for run in runs[each.best].values()]
+    plans = []
+    for each, run in trained:
+        starts = min(run.config.evaluation.episodes, PLANNED_STARTS)
+        config = overridden(run.config, [f"evaluation.episodes={starts}"])
+        plans.append((each, PLANNED, config))
     plans += [
-        (each, PLANNED_AGAIN, _reallocated(config))
+        (each, PLANNED_AGAIN, overridden(config, ["env.oma.share=reallocate"]))
         for each, _, config in plans
         if each.access == "oma"
     ]
-    values = planned_values([config for *_, config in plans], file, processes)
-    found = [_learned(each, run) for each, run in trained]
-    found += [
-        _best(each, run) for each in which if each.has_best for run in runs[each.best].values()
-    ]
+    values = planned_values([config for *_, config in plans], file)
+    found = [_learned(each, LEARNED, run, ("last5", "last5_greedy")) for each, run in trained]
+    found += [_learned(each, BEST, run, ("eps05", "greedy")) for each, run in best]
     for (each, curve, config), value in zip(plans, values, strict=True):
         found.append(
             PointOutcome(*each, curve, config.seed, value.ee, 1.0, value.sum_rate, value.min_rate)
@@ -201,38 +168,14 @@ def outcomes(
     return found
 
 
-def _learned(setting: Fig4Setting, run: Run) -> PointOutcome:
-    last, greedy = (run.summary["evaluation"][name] for name in ("last5", "last5_greedy"))
-    return PointOutcome(
-        *setting,
-        LEARNED,
-        run.seed,
-        last["ee"],
-        last["success"],
-        last["sum_rate"],
-        last["min_rate"],
-        greedy["ee"],
-        greedy["success"],
-    )
-
-
-def _best(setting: Fig4Setting, run: Run) -> PointOutcome:
-    """The final weights of a run with ``experiment=best``."""
-    of, greedy = (run.summary["evaluation"][name] for name in ("eps05", "greedy"))
-    measures = of["ee"], of["success"], of["sum_rate"], of["min_rate"]
-    return PointOutcome(*setting, BEST, run.seed, *measures, greedy["ee"], greedy["success"])
-
-
-def _fewer_starts(config: Config) -> Config:
-    """The same task with no more held-out starts than are planned for."""
-    evaluation = config.evaluation
-    fewer = dataclasses.replace(evaluation, episodes=min(evaluation.episodes, PLANNED_STARTS))
-    return dataclasses.replace(config, evaluation=fewer)
-
-
-def _reallocated(config: Config) -> Config:
-    """The same task, where the part of a robot that has arrived goes to the others."""
-    return overridden(config, ["env.oma.share=reallocate"])
+def _learned(
+    setting: Fig4Setting, curve: str, run: Run, evaluations: tuple[str, str]
+) -> PointOutcome:
+    """What a run came to in two of its summary's evaluations, with exploration and greedy."""
+    explored, greedy = (run.summary["evaluation"][name] for name in evaluations)
+    measures = [explored[name] for name in ("ee", "success", "sum_rate", "min_rate")]
+    ends = {f"greedy_{name}": greedy[name] for name in ("ee", "success")}
+    return PointOutcome(*setting, curve, run.seed, *measures, **ends)
 
 
 def _note(runs: Runs, setting: Fig4Setting) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from experiments.reproduce.results.output import plain
-from experiments.reproduce.results.points import BEST, LEARNED, PLANNED, PLANNED_AGAIN, Point
+from experiments.reproduce.targets.fig4_points import BEST, LEARNED, PLANNED, PLANNED_AGAIN, Point
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,35 +21,30 @@ ARRIVE = 0.9
 LETTERS_PER_INCH = 18
 """Of the note below the figure."""
 
-COLOURS = {"noma": "#2e86de", "oma": "#e4572e"}
-DARKER = {"noma": "#0b4f8a", "oma": "#8a2a12"}
-"""Of ``experiment=best``, whose marks have other forms as well."""
 
-MARKERS = {
-    ("noma", LEARNED): "o",
-    ("oma", LEARNED): "s",
-    ("noma", BEST): "^",
-    ("oma", BEST): "v",
+class Style(NamedTuple):
+    """How a curve is drawn; planned ones have no marker."""
+
+    label: str
+    colour: str
+    line: Literal["-", "-.", "--", ":"]
+    marker: str = ""
+
+
+STYLES = {
+    ("noma", LEARNED): Style("NOMA, learned", "#2e86de", "-", "o"),
+    ("oma", LEARNED): Style("OMA, learned", "#e4572e", "-", "s"),
+    ("noma", BEST): Style("NOMA, learned, best", "#0b4f8a", "-.", "^"),
+    ("oma", BEST): Style("OMA, learned, best", "#8a2a12", "-.", "v"),
+    ("noma", PLANNED): Style("NOMA, planned", "#2e86de", "--"),
+    ("oma", PLANNED): Style("OMA, planned", "#e4572e", "--"),
+    ("oma", PLANNED_AGAIN): Style("OMA, reallocated, planned", "#e4572e", ":"),
 }
-LABELS = {
-    ("noma", LEARNED): "NOMA, learned",
-    ("oma", LEARNED): "OMA, learned",
-    ("noma", BEST): "NOMA, learned, best",
-    ("oma", BEST): "OMA, learned, best",
-    ("noma", PLANNED): "NOMA, planned",
-    ("oma", PLANNED): "OMA, planned",
-    ("oma", PLANNED_AGAIN): "OMA, reallocated, planned",
-}
-STYLES = {LEARNED: "-", BEST: "-.", PLANNED: "--", PLANNED_AGAIN: ":"}
+"""By access and curve."""
 
 
 def draw(drawn: Sequence[Point], note: str) -> Figure:
-    """The figure.
-
-    Args:
-        drawn: its points.
-        note: what it says below itself.
-    """
+    """The figure with its points, and what it says below itself."""
     rows = sorted({point.robots for point in drawn})
     columns = sorted({point.side for point in drawn})
     size = (1.0 + 3.4 * len(columns), 1.5 + 2.9 * len(rows))
@@ -74,54 +69,35 @@ def draw(drawn: Sequence[Point], note: str) -> Figure:
 
 
 def _panel(axes: Axes, here: Sequence[Point]) -> None:
-    for access, curve in LABELS:
+    """Draws the curves; marks are hollow where fewer than ``ARRIVE`` of the robots arrive."""
+    for of, style in STYLES.items():
         line = sorted(
-            (point for point in here if (point.access, point.curve) == (access, curve)),
+            (point for point in here if (point.access, point.curve) == of),
             key=lambda point: point.max_dbm,
         )
         if not line:
             continue
-        power_dbm = [point.max_dbm for point in line]
-        colour = _colour(access, curve)
-        axes.plot(power_dbm, [point.ee for point in line], STYLES[curve], color=colour, lw=1.4)
-        if (access, curve) in MARKERS:
+        power_dbm, colour = [point.max_dbm for point in line], style.colour
+        axes.plot(power_dbm, [point.ee for point in line], style.line, color=colour, lw=1.4)
+        if style.marker:
             low, high = [point.low for point in line], [point.high for point in line]
             axes.fill_between(power_dbm, low, high, color=colour, alpha=0.18, linewidth=0)
-            _marks(axes, line)
+            for point in line:
+                face = colour if point.success >= ARRIVE else "white"
+                marks: dict[str, Any] = {"color": colour, "mfc": face, "ms": 5.5, "zorder": 3}
+                axes.plot(point.max_dbm, point.ee, style.marker, **marks)
     plain(axes)
     axes.set_xticks(sorted({point.max_dbm for point in here}))
 
 
-def _marks(axes: Axes, line: Sequence[Point]) -> None:
-    """Marks learned points, hollow where fewer than ``ARRIVE`` of the robots arrive."""
-    for point in line:
-        colour = _colour(point.access, point.curve)
-        face = colour if point.success >= ARRIVE else "white"
-        marker = MARKERS[point.access, point.curve]
-        axes.plot(point.max_dbm, point.ee, marker, color=colour, mfc=face, ms=5.5, zorder=3)
-
-
-def _colour(access: str, curve: str) -> str:
-    return (DARKER if curve == BEST else COLOURS)[access]
-
-
 def _handles(drawn: Sequence[Point]) -> list[Line2D]:
     there = {(point.access, point.curve) for point in drawn}
-    found = []
-    for (access, curve), label in LABELS.items():
-        if (access, curve) in there:
-            style: dict[str, Any] = {
-                "color": _colour(access, curve),
-                "linestyle": STYLES[curve],
-                "marker": MARKERS.get((access, curve), ""),
-            }
-            found.append(Line2D([], [], label=label, **style))
+    found = [
+        Line2D([], [], label=each.label, color=each.colour, linestyle=each.line, marker=each.marker)
+        for of, each in STYLES.items()
+        if of in there
+    ]
     if any(point.success < ARRIVE for point in drawn):
-        hollow: dict[str, Any] = {
-            "color": "#777777",
-            "linestyle": "",
-            "marker": "o",
-            "mfc": "white",
-        }
-        found.append(Line2D([], [], label="fewer than 90 % arrive", **hollow))
+        hollow: dict[str, Any] = {"color": "#777777", "marker": "o", "mfc": "white"}
+        found.append(Line2D([], [], label="fewer than 90 % arrive", linestyle="", **hollow))
     return found

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-from experiments.analysis.played import PlayedEpisodes, learned, mirrored, planned
-from experiments.reproduce.results.output import save_figure, write_csv
+from experiments.analysis.played import learned, mirrored, planned
+from experiments.reproduce.results.output import Row, save_figure, write_csv
 from experiments.reproduce.results.planning import planned_values
-from experiments.reproduce.results.points import LEARNED, PLANNED
 from experiments.reproduce.results.runs import Run, Runs
 from experiments.reproduce.targets.fig4 import cells_of
+from experiments.reproduce.targets.fig4_points import LEARNED, PLANNED
 from experiments.reproduce.targets.fig5_drawing import Shown, draw_along, draw_ways
 from experiments.reproduce.targets.plan import Cell
 from training.evaluation import Evaluator
@@ -23,8 +23,6 @@ METRICS = ("qos", "qoe")
 ROBOTS = 3
 GREEDY = 0.0
 ONE_START, HELD_OUT = "the figure's", "held out"
-
-Values = dict[str, object]
 
 
 class Fig5Setting(NamedTuple):
@@ -49,6 +47,36 @@ class Fig5Setting(NamedTuple):
         return f"env.robots={ROBOTS}", f"env.ris.side={self.side}", f"env.metric={self.metric}"
 
 
+class Fig5Measures(NamedTuple):
+    """Measures of one run or plan.
+
+    Attributes:
+        side: M_R.
+        metric: qos or qoe.
+        policy: learned or planned.
+        starts: the figure's, or held out.
+        seed: None of the plan that is drawn.
+        ee: with the other measures as in ``planning.Planned``.
+        success: share of the robots that arrive.
+    """
+
+    side: int
+    metric: str
+    policy: str
+    starts: str
+    seed: int | None
+    ee: float
+    sum_rate: float
+    min_rate: float
+    success: float
+    path_ratio: float
+    gain_db: float
+
+
+SLOT = ("side", "metric", "seed", "policy", "robot", "slot", "x_m", "y_m", "gain_db", "rate")
+"""Columns of ``fig5.csv``."""
+
+
 def settings(quick: bool) -> list[Fig5Setting]:
     """All parts of the figure."""
     return [Fig5Setting(*each) for each in product(QUICK_SIDES if quick else SIDES, METRICS)]
@@ -60,48 +88,32 @@ class Fig5:
     One episode is drawn, each robot starting opposite its destination (``along.mirrored``): of the
     first seed's greedy policy, and of the plan that the trajectory oracle makes for it. What holds
     on average is in ``fig5_measures.csv``, of all seeds and of their held-out starts.
-
-    Args:
-        processes: that plan trajectories at once; the cores if None.
     """
 
     name = "fig5"
 
-    def __init__(self, processes: int | None = None) -> None:
-        self._processes = processes
-
     def cells(self, quick: bool) -> list[Cell]:
         """A cell for each M_R and metric; at full size three seeds of 8, 24 runs."""
-        return cells_of(settings(quick), quick)
+        return cells_of({each.name: each.overrides for each in settings(quick)}, quick)
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
-        """Writes the ways, what robots are served along them, and the measures.
-
-        Args:
-            runs: every run of ``cells``.
-            out: an existing folder; planned values are kept in its ``planned.csv``.
-            quick: whether the runs are those of a quick figure.
-
-        Returns:
-            The files written.
-        """
+        """Writes the ways, what robots are served along them, and the measures."""
         which = settings(quick)
-        drives = {each: _learned(runs[each.name]) for each in which}
-        plans = {each: planned(mirrored(first(runs[each.name]).config)) for each in which}
-        measures = _on_the_figure(drives, plans)
-        measures += held_out(runs, which, out / "planned.csv", self._processes)
+        shown = [drawn for each in which for drawn in _shown(each, runs[each.name])]
+        measures = [_measures(each) for each in shown]
+        measures += held_out(runs, which, out / "planned.csv")
         files = [
-            _write(out / "fig5.csv", _slots(drives, plans)),
-            _write(out / "fig5_measures.csv", measures),
+            write_csv(out / "fig5.csv", SLOT, [row for each in shown for row in _slots(each)]),
+            write_csv(out / "fig5_measures.csv", Fig5Measures._fields, measures),
             out / "planned.csv",
         ]
-        drawn = [Shown(*each, next(iter(by_seed.values()))) for each, by_seed in drives.items()]
-        of_plans = [Shown(*each, drive) for each, drive in plans.items()]
-        notes = _notes(first(runs[which[0].name]))
-        names = "fig5", "fig5_planned"
-        for name, shown, say in zip(names, (drawn, of_plans), notes, strict=True):
-            files += save_figure(draw_ways(shown, say), out, name, quick=quick)
-            files += save_figure(draw_along(shown, say), out, f"{name}_along", quick=quick)
+        run = first(runs[which[0].name])
+        for name, seed, note in zip(
+            ("fig5", "fig5_planned"), (run.seed, None), _notes(run), strict=True
+        ):
+            drawn = [each for each in shown if each.seed == seed]
+            files += save_figure(draw_ways(drawn, note), out, name, quick=quick)
+            files += save_figure(draw_along(drawn, note), out, f"{name}_along", quick=quick)
         return files
 
 
@@ -113,96 +125,52 @@ def first(by_seed: Mapping[int, Run]) -> Run:
     return by_seed[min(by_seed)]
 
 
-def _learned(by_seed: Mapping[int, Run]) -> dict[int, PlayedEpisodes]:
-    """The drawn episode as each seed's greedy policy drives it, the least seed first."""
-    return {
-        seed: learned(mirrored(by_seed[seed].config), by_seed[seed].weights(), GREEDY)
-        for seed in sorted(by_seed)
-    }
+def _shown(setting: Fig5Setting, by_seed: Mapping[int, Run]) -> Iterator[Shown]:
+    """The drawn episode by each seed's greedy policy, the least seed first, and as planned."""
+    for seed in sorted(by_seed):
+        run = by_seed[seed]
+        yield Shown(*setting, LEARNED, seed, learned(mirrored(run.config), run.weights(), GREEDY))
+    yield Shown(*setting, PLANNED, None, planned(mirrored(first(by_seed).config)))
 
 
-def held_out(
-    runs: Runs, which: Sequence[Fig5Setting], file: Path, processes: int | None = None
-) -> list[Values]:
-    """Measures on every run's held-out starts: learned, and planned from the same starts.
+def held_out(runs: Runs, which: Sequence[Fig5Setting], file: Path) -> list[Fig5Measures]:
+    """Measures on every run's held-out starts: learned, and planned, which a file keeps.
 
     Learned ones are means of the last five evaluations, except for the gain along the ways, which
     is that of the final weights.
-
-    Args:
-        runs: every run of the settings.
-        which: the settings.
-        file: keeps planned values.
-        processes: that plan at once.
     """
     trained = [(each, run) for each in which for run in runs[each.name].values()]
-    values = planned_values([run.config for _, run in trained], file, processes)
+    values = planned_values([run.config for _, run in trained], file)
     rows = []
     for (each, run), value in zip(trained, values, strict=True):
-        last = run.summary["evaluation"]["last5"]
         drive = learned(Evaluator(run.config), run.weights(), run.config.evaluation.epsilon)
-        rows.append(_row(each, LEARNED, HELD_OUT, run.seed, last, drive.gain_db))
-        of_plan = {**vars(value), "success": 1.0}
-        rows.append(_row(each, PLANNED, HELD_OUT, run.seed, of_plan, value.gain_db))
+        last = {**run.summary["evaluation"]["last5"], "gain_db": drive.gain_db}
+        rows.append(_row((*each, LEARNED, HELD_OUT, run.seed), last))
+        rows.append(_row((*each, PLANNED, HELD_OUT, run.seed), value._asdict() | {"success": 1.0}))
     return rows
 
 
-def _on_the_figure(
-    drives: Mapping[Fig5Setting, Mapping[int, PlayedEpisodes]],
-    plans: Mapping[Fig5Setting, PlayedEpisodes],
-) -> list[Values]:
-    """Measures of the one episode that the figure shows."""
-    rows = []
-    for each, by_seed in drives.items():
-        shown = [(LEARNED, seed, drive) for seed, drive in by_seed.items()]
-        for policy, seed, drive in [*shown, (PLANNED, None, plans[each])]:
-            found = drive.measures.summary()
-            rows.append(_row(each, policy, ONE_START, seed, found, drive.gain_db))
-    return rows
+def _measures(shown: Shown) -> Fig5Measures:
+    """Measures of an episode that the figure shows."""
+    found = shown.drive.measures.summary() | {"gain_db": shown.drive.gain_db}
+    return _row((shown.side, shown.metric, shown.policy, ONE_START, shown.seed), found)
 
 
-def _row(
-    setting: Fig5Setting,
-    policy: str,
-    starts: str,
-    seed: int | None,
-    found: Mapping[str, float],
-    gain_db: float,
-) -> Values:
-    names = ("ee", "sum_rate", "min_rate", "success", "path_ratio")
-    of = {**setting._asdict(), "policy": policy, "starts": starts, "seed": seed}
-    return {**of, **{name: found[name] for name in names}, "gain_db": gain_db}
+def _row(of: tuple[int, str, str, str, int | None], found: Mapping[str, float]) -> Fig5Measures:
+    return Fig5Measures(*of, *(found[name] for name in Fig5Measures._fields[len(of) :]))
 
 
-def _slots(
-    drives: Mapping[Fig5Setting, Mapping[int, PlayedEpisodes]],
-    plans: Mapping[Fig5Setting, PlayedEpisodes],
-) -> list[Values]:
-    """A row for each slot of each robot that drives in it; plans are of no seed."""
-    rows: list[Values] = []
-    for each, by_seed in drives.items():
-        for seed, drive in by_seed.items():
-            rows += [{**each._asdict(), "seed": seed, **slot} for slot in _along(LEARNED, drive)]
-        rows += [{**each._asdict(), "seed": None, **slot} for slot in _along(PLANNED, plans[each])]
-    return rows
-
-
-def _along(policy: str, drive: PlayedEpisodes) -> list[Values]:
+def _slots(shown: Shown) -> Iterator[Row]:
+    """A row for each slot of each robot that drives in it, by ``SLOT``; plans are of no seed."""
+    drive = shown.drive
     ways_m, gain_db, rate = drive.ways_m[:, 0], drive.along.gain_db[:, 0], drive.along.rate[:, 0]
-    return [
-        {
-            "policy": policy,
-            "robot": robot,
-            "slot": slot,
-            "x_m": ways_m[slot, robot, 0],
-            "y_m": ways_m[slot, robot, 1],
-            "gain_db": round(float(gain_db[slot, robot]), 3),
-            "rate": round(float(rate[slot, robot]), 4),
-        }
-        for robot in range(gain_db.shape[1])
-        for slot in range(len(gain_db))
-        if drive.along.driving[slot][0, robot]
-    ]
+    for robot in range(gain_db.shape[1]):
+        for slot in range(len(gain_db)):
+            if drive.along.driving[slot][0, robot]:
+                gain = round(float(gain_db[slot, robot]), 3)
+                served = round(float(rate[slot, robot]), 4)
+                of = shown.side, shown.metric, shown.seed, shown.policy, robot, slot
+                yield *of, *ways_m[slot, robot], gain, served
 
 
 def _notes(run: Run) -> tuple[str, str]:
@@ -210,7 +178,3 @@ def _notes(run: Run) -> tuple[str, str]:
     starts = "Each robot starts opposite its destination, the room turned half round."
     learned_by = f"Frozen policy of seed {run.seed}, {run.config.train.episodes} episodes, greedy."
     return f"{learned_by} {starts}", f"Plans of the trajectory oracle for R_k and eta_k. {starts}"
-
-
-def _write(file: Path, rows: Sequence[Values]) -> Path:
-    return write_csv(file, list(rows[0]), [list(row.values()) for row in rows])

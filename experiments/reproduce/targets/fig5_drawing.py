@@ -23,32 +23,30 @@ if TYPE_CHECKING:
 GREYS = LinearSegmentedColormap.from_list("pale", ["#8d99ae", "#ffffff"])
 """Pale enough for black marks to stand out where the gain is low."""
 
-
 SMOOTHING = 10
 """Slots over which lines along the way are averaged; fig5.csv has each slot."""
 
 
 class Shown(NamedTuple):
-    """An episode that is drawn.
+    """An episode that can be drawn.
 
     Attributes:
         side: M_R.
         metric: what rewards or plans count, qos or qoe.
+        policy: learned or planned.
+        seed: of the policy; None of a plan.
         drive: the episode.
     """
 
     side: int
     metric: str
+    policy: str
+    seed: int | None
     drive: PlayedEpisodes
 
 
 def draw_ways(shown: Sequence[Shown], note: str) -> Figure:
-    """Where the robots drive, over the gain of the best phase in each cell, on one scale.
-
-    Args:
-        shown: the episodes.
-        note: what the figure says below itself.
-    """
+    """Where the robots drive, over the gain of the best phase in each cell, on one scale."""
     sides = sorted({each.side for each in shown})
     rows = ceil(len(sides) / 2)
     figure = Figure(figsize=(9.2, 1.4 + 4.1 * rows), layout="compressed")
@@ -62,7 +60,8 @@ def draw_ways(shown: Sequence[Shown], note: str) -> Figure:
         image = draw_floor(axes, world.config, world.radio_map)
         image.set(cmap=GREYS, clim=(low, high))
         _ways(axes, of)
-        axes.set_title(_title(side, index), fontsize=10, pad=10)
+        title = f"({'abcdefgh'[index]}) $M_R$ = {side}" + ("" if side else " (no RIS)")
+        axes.set_title(title, fontsize=10, pad=10)
         axes.label_outer()
     figure.colorbar(image, ax=list(panels), label="channel gain, best phase (dB)", pad=0.01)
     crosses = any(_misses(drive).any() for drive in drives)
@@ -70,10 +69,6 @@ def draw_ways(shown: Sequence[Shown], note: str) -> Figure:
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False)
     figure.supxlabel(f"{note}\n", fontsize=7.5, x=0.01, ha="left")
     return figure
-
-
-def _title(side: int, index: int) -> str:
-    return f"({'abcdefgh'[index]}) $M_R$ = {side}" + ("" if side else " (no RIS)")
 
 
 def _ways(axes: Axes, of: Mapping[str, PlayedEpisodes]) -> None:
@@ -101,11 +96,7 @@ def _handles(drive: PlayedEpisodes, crosses: bool) -> list[Line2D]:
         _handle(f"robot {robot}, QoS", linestyle="", marker="o", color=colour)
         for robot, colour in enumerate(ROBOT_COLOURS[: len(drive.destinations_m)])
     ]
-    marks = [
-        ("x", "black", "QoE"),
-        ("o", "#bbbbbb", "start"),
-        ("*", "#bbbbbb", "destination"),
-    ]
+    marks = [("x", "black", "QoE"), ("o", "#bbbbbb", "start"), ("*", "#bbbbbb", "destination")]
     if crosses:
         marks.append(("X", "#777777", "did not arrive"))
     for marker, colour, label in marks:
@@ -123,10 +114,6 @@ def draw_along(shown: Sequence[Shown], note: str) -> Figure:
 
     Under NOMA the strongest robot of a slot has most of the rate, and who that is changes from one
     slot to the next.
-
-    Args:
-        shown: the episodes.
-        note: what the figure says below itself.
     """
     sides = sorted({each.side for each in shown})
     figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(sides)), layout="constrained")
@@ -141,10 +128,8 @@ def draw_along(shown: Sequence[Shown], note: str) -> Figure:
             plain(axes)
     for axes in panels[-1]:
         axes.set_xlabel("slot")
-    panels[0, 0].set_title(
-        rf"$|h_k|^2$ under the phase set, mean of {SMOOTHING} slots", fontsize=10
-    )
-    panels[0, 1].set_title(rf"$R_k$, mean of {SMOOTHING} slots", fontsize=10)
+    for axes, what in zip(panels[0], (r"$|h_k|^2$ under the phase set", "$R_k$"), strict=True):
+        axes.set_title(f"{what}, mean of {SMOOTHING} slots", fontsize=10)
     robots = len(shown[0].drive.destinations_m)
     handles = [
         _handle(f"robot {robot}, {name}", color=ROBOT_COLOURS[robot], linestyle=style)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from experiments.reproduce.results.runs import Run
-from experiments.reproduce.targets.comparison import Comparison, Variant
+from experiments.reproduce.targets.comparison import Column, Comparison, Variant
 from experiments.reproduce.targets.plan import THREE_SEEDS
 
 LOST = "federation.losses"
@@ -32,6 +32,5 @@ TARGET = Comparison(
     VARIANTS,
     ("env.robots=3",),
     THREE_SEEDS,
-    extra={"heard in time": in_time},
-    formats={"heard in time": ".2f"},
+    extra={"heard in time": Column(in_time, ".2f")},
 )

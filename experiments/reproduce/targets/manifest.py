@@ -15,6 +15,9 @@ from experiments.reproduce.results.runs import Run
 from experiments.reproduce.targets.plan import Cell
 from storage.atomic import write_atomically
 
+KEPT = ("digest", "ticks", "episodes", "wall_s", "cpu_s")
+"""Of a run's summary."""
+
 DISTRIBUTIONS = ("risfleet", "torch", "numpy", "flwr", "hydra-core", "matplotlib")
 
 
@@ -26,18 +29,9 @@ def write(
     files: Sequence[Path],
     call: Mapping[str, Any],
 ) -> Path:
-    """Writes a target's manifest.
+    """Writes the manifest of a target's files beside them; returns it.
 
-    Args:
-        out: the folder of the files.
-        target: its name.
-        cells: what it needs.
-        runs: all of them.
-        files: what it wrote.
-        call: how it was called: what the user set, and the seconds that it took.
-
-    Returns:
-        The file.
+    ``call`` says how it was called: what the user set, and the seconds that it took.
     """
     manifest = {
         "target": target,
@@ -56,35 +50,22 @@ def write(
 
 
 def _cell(cell: Cell, runs: Mapping[int, Run], out: Path) -> dict[str, Any]:
-    keys = ("digest", "ticks", "episodes", "wall_s", "cpu_s")
-    return {
-        "overrides": list(cell.overrides),
-        "seeds": {
-            str(seed): {"folder": _below(run.folder, out)} | {key: run.summary[key] for key in keys}
-            for seed, run in runs.items()
-        },
-    }
-
-
-def _below(folder: Path, out: Path) -> str:
-    """A folder as seen from where the manifest lies."""
-    return str(folder.relative_to(out.absolute()))
+    seeds = {}
+    for seed, run in runs.items():
+        measures = {key: run.summary[key] for key in KEPT}
+        seeds[str(seed)] = {"folder": str(run.folder.relative_to(out.absolute())), **measures}
+    return {"overrides": list(cell.overrides), "seeds": seeds}
 
 
 def commit() -> str | None:
     """The commit of the program, "+" after it if files were changed since; None if unknown."""
     root = Path(__file__).parent.parent.parent.parent
+    describe = ("describe", "--always", "--exclude=*", "--abbrev=40", "--dirty=+")
     try:
-        found = [
-            subprocess.run(
+        for command in (("ls-files", "--error-unmatch", "pyproject.toml"), describe):
+            said = subprocess.run(
                 ["git", "-C", str(root), *command], capture_output=True, text=True, check=True
             ).stdout.strip()
-            for command in (
-                ("ls-files", "--error-unmatch", "pyproject.toml"),
-                ("rev-parse", "HEAD"),
-                ("status", "--porcelain", "--untracked-files=no"),
-            )
-        ]
     except (OSError, subprocess.CalledProcessError):
         return None
-    return found[1] + ("+" if found[2] else "")
+    return said

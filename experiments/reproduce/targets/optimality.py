@@ -8,19 +8,18 @@ the global state, in which no robot's way is and robots stand by index, as it ac
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from conf import Config
+from conf import overridden
 from env.episode import EpisodeMeasures
 from experiments.analysis.optimality_gap import shortest_best_measures
-from experiments.reproduce.results.output import QUICK, Row, write_csv, write_table
+from experiments.reproduce.results.output import write_csv, write_table
 from experiments.reproduce.results.planning import Planned, planned_values
-from experiments.reproduce.results.runs import Run, Runs
+from experiments.reproduce.results.runs import Runs
 from experiments.reproduce.results.statistics import Estimate, difference, estimate
 from experiments.reproduce.targets.plan import FRESH_SEEDS, Cell
 from training.evaluation import Evaluator
@@ -55,24 +54,14 @@ QUICK_HELPED = (
 QUICK_PAPER = ("train.episodes=100", "agent.epsilon.ticks=4000")
 
 MEASURES = {
-    "success": (".3f", 1.0),
-    "ee_share": (".1f", 100.0),
-    "bits_share": (".1f", 100.0),
-    "path_ratio": (".3f", 1.0),
-    "cpu_s": (".0f", 1.0),
+    "success": ("success", ".3f", 1.0),
+    "ee_share": ("(5a), % of the plans'", ".1f", 100.0),
+    "bits_share": ("bit/J, % of the plans'", ".1f", 100.0),
+    "path_ratio": ("path ratio", ".3f", 1.0),
+    "cpu_s": ("CPU s", ".0f", 1.0),
 }
-"""How each is written, and times what."""
+"""Its column's title, how each is written, and times what."""
 
-HEADER = (
-    "K",
-    "learner",
-    "success",
-    "(5a), % of the plans'",
-    "bit/J, % of the plans'",
-    "path ratio",
-    "CPU s",
-    "(5a), points above best",
-)
 NOTE = (
     "Frozen final weights, greedy, from {starts} held-out starts of each seed; plans are the"
     " trajectory oracle's for the same starts, a lower bound on the best with several robots."
@@ -110,16 +99,9 @@ class OptimalityOutcome(NamedTuple):
 
 
 class Optimality:
-    """The target ``optimality``.
-
-    Args:
-        processes: that plan trajectories at once; the cores if None.
-    """
+    """The target ``optimality``."""
 
     name = "optimality"
-
-    def __init__(self, processes: int | None = None) -> None:
-        self._processes = processes
 
     def cells(self, quick: bool) -> list[Cell]:
         """See ``Target``: with each K all that learn, the paper's settings last."""
@@ -137,11 +119,14 @@ class Optimality:
         return cells
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
-        """See ``Target``; planned values are kept in ``planned.csv``, as Fig. 4 does."""
-        found = outcomes(runs, out / "planned.csv", self._processes)
+        """See ``Target``."""
+        found = outcomes(runs, out / "planned.csv")
+        made = estimates(found)
+        numbers = [(*of, key, *each[:4]) for of, by in made.items() for key, each in by.items()]
+        header = ("robots", "learner", "measure", *Estimate._fields[:4])
         return [
-            _write_table(out / "optimality.md", found, quick),
-            _write_csv(out / "optimality.csv", found),
+            _write_table(out / "optimality.md", found, made, quick),
+            write_csv(out / "optimality.csv", header, numbers),
             write_csv(out / "optimality_runs.csv", OptimalityOutcome._fields, found),
             out / "planned.csv",
         ]
@@ -155,37 +140,25 @@ def named(learner: str, robots: int) -> str:
     return f"{learner}, K = {robots}"
 
 
-def outcomes(runs: Runs, file: Path, processes: int | None = None) -> list[OptimalityOutcome]:
+def outcomes(runs: Runs, file: Path) -> list[OptimalityOutcome]:
     """What every run came to, and the rule from the same starts, as shares of the plans'.
 
-    Args:
-        runs: every run of the target's cells.
-        file: keeps planned values.
-        processes: that plan at once.
+    A file keeps planned values.
     """
     trained = [(name.split(",")[0], run) for name, each in runs.items() for run in each.values()]
     tasks = {(r.config.env.robots, r.seed): r.config for which, r in trained if which == BEST}
-    values = planned_values([_starts_of(each) for each in tasks.values()], file, processes)
+    of_starts = [overridden(c, [f"evaluation.episodes={STARTS}"]) for c in tasks.values()]
+    values = planned_values(of_starts, file)
     plans = dict(zip(tasks, values, strict=True))
-    found = [
-        _played(learner, run, plans[run.config.env.robots, run.seed]) for learner, run in trained
-    ]
+    found = []
+    for learner, run in trained:
+        task = run.config.env.robots, run.seed
+        (measures,) = Evaluator(run.config, episodes=STARTS).play(*run.weights(), (0.0,))
+        found.append(_outcome(*task, learner, measures, plans[task], run.summary["cpu_s"]))
     for task, config in tasks.items():
         measures = shortest_best_measures(Evaluator(config, episodes=STARTS))
         found.append(_outcome(*task, RULE, measures, plans[task], np.nan))
     return sorted(found, key=lambda each: each.robots)
-
-
-def _starts_of(config: Config) -> Config:
-    """The same task with the held-out starts that are played."""
-    evaluation = dataclasses.replace(config.evaluation, episodes=STARTS)
-    return dataclasses.replace(config, evaluation=evaluation)
-
-
-def _played(learner: str, run: Run, plan: Planned) -> OptimalityOutcome:
-    (measures,) = Evaluator(run.config, episodes=STARTS).play(*run.weights(), (0.0,))
-    task = run.config.env.robots, run.seed
-    return _outcome(*task, learner, measures, plan, run.summary["cpu_s"])
 
 
 def _outcome(
@@ -217,21 +190,16 @@ def estimates(found: Sequence[OptimalityOutcome]) -> Estimates:
     return made
 
 
-def _write_table(path: Path, found: Sequence[OptimalityOutcome], quick: bool) -> Path:
-    rows: list[Row] = []
-    for (robots, learner), measured in estimates(found).items():
-        cells = [measured[name].text(*how) for name, how in MEASURES.items()]
+def _write_table(
+    path: Path, found: Sequence[OptimalityOutcome], made: Estimates, quick: bool
+) -> Path:
+    rows = []
+    for (robots, learner), measured in made.items():
+        cells = [measured[key].text(form, scale) for key, (_, form, scale) in MEASURES.items()]
         above = "" if learner == BEST else measured["above_best"].text("+.1f", 100.0)
         rows.append((robots, learner, *cells, above))
     seeds = ", ".join(map(str, sorted({each.seed for each in found})))
     note = NOTE.format(starts=STARTS, seeds=seeds)
-    return write_table(path, HEADER, rows, f"{note} {QUICK.capitalize()}." if quick else note)
-
-
-def _write_csv(path: Path, found: Sequence[OptimalityOutcome]) -> Path:
-    rows = [
-        (robots, learner, name, each.value, each.low, each.high, each.count)
-        for (robots, learner), measured in estimates(found).items()
-        for name, each in measured.items()
-    ]
-    return write_csv(path, ("robots", "learner", "measure", "value", "low", "high", "seeds"), rows)
+    titles = (title for title, *_ in MEASURES.values())
+    header = ("K", "learner", *titles, "(5a), points above best")
+    return write_table(path, header, rows, note, quick=quick)

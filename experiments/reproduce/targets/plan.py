@@ -75,15 +75,12 @@ class Target(Protocol):
         """
 
     def report(self, runs: Runs, out: Path, *, quick: bool) -> list[Path]:
-        """Writes figure, data and tables; says on the figure if it is a quick one.
+        """Writes figure, data and tables, which say if they are quick ones; returns the files.
 
         Args:
             runs: every run of ``cells``, by the cell's name and by seed.
-            out: an existing folder.
+            out: an existing folder, whose ``planned.csv`` keeps planned values.
             quick: as in ``cells``.
-
-        Returns:
-            The files written.
         """
 
 
@@ -93,11 +90,9 @@ def with_overrides(cells: Sequence[Cell], overrides: Sequence[str]) -> list[Cell
 
 
 def configs(cell: Cell, store: Path) -> dict[int, Config]:
-    """The checked configuration of each run of a cell, by seed, with its folder.
+    """The checked configuration of each run of a cell, by seed, with its folder in ``store``.
 
-    Args:
-        cell: the cell.
-        store: the folder of all runs; cells of equal configurations share theirs below it.
+    Cells of equal configurations share their runs.
 
     Raises:
         ConfigError: a wrong key, value or combination.

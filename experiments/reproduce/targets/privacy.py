@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 
 from experiments.reproduce.results.runs import Run
-from experiments.reproduce.targets.comparison import NOTE, Comparison, Variant
+from experiments.reproduce.targets.comparison import NOTE, Column, Comparison, Variant
 from experiments.reproduce.targets.plan import THREE_SEEDS
 from training.exchange.accounting import ACCOUNTANT
 
-TICKS = 10_000
-"""Of every run: 400 windows, or 100 where they are four times as long."""
-
-EXPLORING = "agent.epsilon.ticks=4000"
-"""By default they explore as long as these runs last."""
+COMMON = ("env.robots=3", "train.max_ticks=10000", "agent.epsilon.ticks=4000")
+"""400 windows, or 100 of four times the length; by default robots explore as long as that."""
 
 VARIANTS = (
     Variant("none"),
@@ -28,7 +25,6 @@ VARIANTS = (
         "federation.every=100 strategy/dp=central strategy.dp.noise=0.1 strategy.dp.clip=0.2",
     ),
 )
-"""The first is what the others are compared with."""
 
 
 def epsilon(run: Run) -> float:
@@ -37,18 +33,12 @@ def epsilon(run: Run) -> float:
     return math.nan if spent is None else float(spent)
 
 
-def releases(run: Run) -> float:
-    """Windows after which weights were averaged."""
-    return float(run.summary["windows"])
-
-
 TARGET = Comparison(
     "privacy",
     VARIANTS,
-    ("env.robots=3", f"train.max_ticks={TICKS}", EXPLORING),
+    COMMON,
     THREE_SEEDS,
     ("train.max_ticks=5000",),
-    {"ε": epsilon, "releases": releases},
-    {"ε": ",.0f", "releases": ".0f"},
+    {"ε": Column(epsilon, ",.0f"), "releases": Column(lambda run: run.summary["windows"], ".0f")},
     f"{NOTE} ε at δ = 1e-5 over all releases of a run, by the {ACCOUNTANT} (-: no noise).",
 )

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from reproduce_helpers import measure_shortly
 
 from conf import overridden
-from experiments.cli import main
 from experiments.reproduce.results import cost
-from experiments.reproduce.results.points import LEARNED, PLANNED, PointOutcome
 from experiments.reproduce.results.statistics import Estimate
 from experiments.reproduce.results.verdicts import Check, Claim, ClaimResult, exact
 from experiments.reproduce.targets import claims, fig3, fig4, fig5
-from experiments.reproduce.targets.claims_efficiency import fig4_claims
-from experiments.reproduce.targets.claims_quality import fig5_claims
+from experiments.reproduce.targets.claims_radio import fig4_claims, fig5_claims
+from experiments.reproduce.targets.fig4_points import LEARNED, PLANNED, PointOutcome
 
 
 def check(
@@ -29,7 +26,7 @@ def check(
 
 
 def claim(*checks: Check) -> Claim:
-    return Claim("says", "where", "", "measure", checks)
+    return Claim("says", "measure", checks)
 
 
 HOLDS, FAILS, OPEN = (0.1, 0.3), (-0.3, -0.1), (-0.1, 0.3)
@@ -85,7 +82,7 @@ def test_a_claim_depends_on_the_axis_that_settles_it() -> None:
 def test_a_claim_shows_each_number_or_one_for_all() -> None:
     each = claim(check(0.25, 0.75, K="2"), check(1.5, 2.5, K="3"))
     assert each.ours == "2: 0.5 (0.2 to 0.8); 3: 2.0 (1.5 to 2.5)"
-    pooled = Claim("", "", "", "", each.checks, Estimate(0.12, 0.1, 0.2, 3), ".0f", 100.0)
+    pooled = Claim("", "", each.checks, pooled=Estimate(0.12, 0.1, 0.2, 3), form=".0f", scale=100.0)
     assert pooled.ours == "12 (10 to 20)"
 
 
@@ -129,21 +126,25 @@ def test_planned_policies_are_judged_by_themselves() -> None:
 
 
 def test_claims_on_qoe_follow_from_the_measures() -> None:
-    rows: list[fig5.Values] = [
-        {
-            "policy": LEARNED,
-            "metric": metric,
-            "side": side,
-            "seed": seed,
-            "ee": 1.2 if metric == "qos" else 1.0 + seed / 10,
-            "min_rate": 3.0 if metric == "qoe" else 2.0,
-            "gain_db": -90 + side / 10 + (1 if metric == "qos" and side > 20 else 0),
-        }
+    rows = [
+        fig5.Fig5Measures(
+            side=side,
+            metric=metric,
+            policy=LEARNED,
+            starts=fig5.HELD_OUT,
+            seed=seed,
+            ee=1.2 if metric == "qos" else 1.0 + seed / 10,
+            sum_rate=5.0,
+            min_rate=3.0 if metric == "qoe" else 2.0,
+            success=1.0,
+            path_ratio=1.0,
+            gain_db=-90 + side / 10 + (1 if metric == "qos" and side > 20 else 0),
+        )
         for metric in ("qos", "qoe")
         for side in (0, 20, 30)
         for seed in (0, 1)
     ]
-    found = verdicts(fig5_claims([*rows, *({**row, "policy": PLANNED} for row in rows)]))
+    found = verdicts(fig5_claims([*rows, *(row._replace(policy=PLANNED) for row in rows)]))
     assert found["QoS has a higher EE than QoE"] == "holds"
     assert found["with QoE the worst robot has a higher rate than with QoS"] == "holds"
     channels = "QoS keeps better channels than QoE"
@@ -152,15 +153,10 @@ def test_claims_on_qoe_follow_from_the_measures() -> None:
     assert found["the RIS enhances the channels"] == "holds"
 
 
-@pytest.fixture
-def short_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Processor time is measured over few steps."""
-    for name, value in (("BLOCKS", 2), ("CENTRAL_STEPS", 2), ("FEDERATED_STEPS", 4)):
-        monkeypatch.setattr(cost, name, value)
-
-
-@pytest.mark.usefixtures("short_measurement")
-def test_a_centralized_step_is_dearer_in_proportion_to_the_joint_actions(tiny: Any) -> None:
+def test_a_centralized_step_is_dearer_in_proportion_to_the_joint_actions(
+    tiny: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure_shortly(monkeypatch)
     ours = tiny()
     theirs = overridden(ours, ["scheme.agents=centralized", "strategy.name=none"])
     found = cost.ratios(ours, theirs)
@@ -175,33 +171,3 @@ def test_claims_need_no_run_that_a_figure_does_not() -> None:
         of_figures = [cell for f in (fig3, fig4, fig5) for cell in f.TARGET.cells(quick)]
         assert cells == of_figures
         assert len({cell.name for cell in cells}) == len(cells)
-
-
-@pytest.mark.usefixtures("short_measurement")
-def test_the_command_writes_every_claim_and_every_check(
-    tiny_overrides: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(fig3, "QUICK_SEEDS", (10,))
-    monkeypatch.setattr(fig4, "QUICK_SIDES", (0, 30))
-    monkeypatch.setattr(fig4, "QUICK_POWERS_DBM", (20,))
-    monkeypatch.setattr(fig5, "QUICK_SIDES", (30,))
-    monkeypatch.setattr(claims.TARGET, "_processes", 1)
-    own = ("run.", "runtime", "train.max_ticks", "env.ris.side", "evaluation.episodes")
-    keys = [item for item in tiny_overrides if not item.startswith(own)]
-    command = ["reproduce", "claims", "--quick", "--out", str(tmp_path), "hydra/launcher=basic"]
-    assert main([*command, *keys, "train.max_ticks=60", "evaluation.episodes=1"]) == 0
-    with (tmp_path / "claims.csv").open(newline="") as file:
-        found = list(csv.DictReader(file))
-    kinds = {row["verdict"].split(" on ")[0] for row in found}
-    assert kinds <= {"holds", "does not hold", "depends", "not shown"}
-    by_says = {row["claim"]: row for row in found}
-    assert by_says["F-DRL significantly reduces the communication overhead"]["verdict"] == (
-        "does not hold"
-    )
-    with (tmp_path / "claims_checks.csv").open(newline="") as file:
-        checks = list(csv.DictReader(file))
-    assert {row["claim"] for row in checks} == set(by_says)
-    table = (tmp_path / "claims.md").read_text()
-    assert all(f"| {says} |" in table for says in by_says)
-    widths = {line.count("|") for line in table.splitlines() if line.startswith("|")}
-    assert len(widths) == 1

@@ -1,8 +1,7 @@
 """The tables of bytes and airtime, from runs of a tiny task."""
 
-import csv
-
 import pytest
+from reproduce_helpers import rows_of, same_run
 
 from experiments.reproduce.results.runs import Run
 from experiments.reproduce.targets import airtime, bytes
@@ -13,10 +12,9 @@ def report(tiny_run, tmp_path):
     """What a target says of each measure, the same run in every cell."""
 
     def values(target):
-        run = Run(tiny_run)
-        target.report({cell.name: {0: run} for cell in target.cells(True)}, tmp_path, quick=True)
-        with (tmp_path / f"{target.name}.csv").open() as file:
-            return {row["measure"]: float(row["value"]) for row in csv.DictReader(file)}
+        target.report(same_run(target, tiny_run), tmp_path, quick=True)
+        rows = rows_of(tmp_path / f"{target.name}.csv")
+        return {row["measure"]: float(row["value"]) for row in rows}
 
     return values
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,25 +9,25 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from reproduce_helpers import measure_shortly, rows_of, same_run
 
-from conf import ConfigError, compose, overridden
+from conf import compose, overridden
 from env.oracles.trajectory import best_trajectory
-from experiments.analysis import optimality_gap
 from experiments.analysis import played as along
 from experiments.analysis.optimality_gap import SLACK
-from experiments.reproduce.results import planning
-from experiments.reproduce.results.points import (
+from experiments.analysis.played import PlayedEpisodes
+from experiments.reproduce.results.runs import Run, Runs
+from experiments.reproduce.targets import claims, fig3, fig4, fig5
+from experiments.reproduce.targets.fig4_drawing import draw
+from experiments.reproduce.targets.fig4_points import (
     BEST,
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
     PointOutcome,
+    neighbours,
     points,
 )
-from experiments.reproduce.results.runs import Run, Runs
-from experiments.reproduce.targets import fig4, fig5
-from experiments.reproduce.targets.fig4_drawing import draw
-from experiments.reproduce.targets.fig4_tables import comparisons
 from experiments.reproduce.targets.fig5_drawing import Shown, draw_along, draw_ways
 from experiments.reproduce.targets.plan import COMMON, Cell, cell_folder, configs, with_overrides
 from experiments.runtimes import local
@@ -44,7 +42,10 @@ OWN = ("runtime", "run.", "env.ris.side")
 
 def trained(cells: Sequence[Cell], tiny: Sequence[str], store: Path) -> Runs:
     """Trains every run of the cells on the tiny task."""
-    keys = [key for key in tiny if not key.startswith(OWN)] + ["train.max_ticks=60"]
+    keys = [key for key in tiny if not key.startswith(OWN)] + [
+        "train.max_ticks=40",
+        "train.worlds=2",
+    ]
     runs: dict[str, dict[int, Run]] = {}
     for cell in with_overrides(cells, keys):
         runs[cell.name] = {}
@@ -56,10 +57,10 @@ def trained(cells: Sequence[Cell], tiny: Sequence[str], store: Path) -> Runs:
 
 @pytest.fixture(scope="module")
 def few_points() -> Iterator[None]:
-    """Quick figures have one M_R and two power budgets."""
+    """Quick figures have one M_R and one power budget."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fig4, "QUICK_SIDES", (30,))
-        patch.setattr(fig4, "QUICK_POWERS_DBM", (10, 30))
+        patch.setattr(fig4, "QUICK_POWERS_DBM", (10,))
         patch.setattr(fig5, "QUICK_SIDES", (30,))
         yield
 
@@ -76,11 +77,6 @@ def runs_of_fig5(
     few_points: None, tiny_overrides: Sequence[str], tmp_path_factory: pytest.TempPathFactory
 ) -> Runs:
     return trained(fig5.TARGET.cells(True), tiny_overrides, tmp_path_factory.mktemp("fig5"))
-
-
-def rows_of(file: Path) -> list[dict[str, str]]:
-    with file.open(newline="") as text:
-        return list(csv.DictReader(text))
 
 
 def check_pictures(files: Sequence[Path], names: Sequence[str]) -> None:
@@ -122,11 +118,11 @@ def test_figures_share_the_runs_that_both_need() -> None:
 
 
 def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_path: Path) -> None:
-    files = fig4.Fig4(processes=1).report(runs_of_fig4, tmp_path, quick=True)
+    files = fig4.TARGET.report(runs_of_fig4, tmp_path, quick=True)
     assert all(file.is_file() for file in files)
     check_pictures(files, ["fig4"])
     drawn = rows_of(tmp_path / "fig4.csv")
-    assert len(drawn) == 2 * 7  # power budgets, curves
+    assert len(drawn) == 7  # curves
     assert {(row["access"], row["curve"]) for row in drawn} == {
         *(("noma", curve) for curve in (LEARNED, BEST, PLANNED)),
         *(("oma", curve) for curve in (LEARNED, BEST, PLANNED, PLANNED_AGAIN)),
@@ -142,91 +138,6 @@ def test_fig_4_has_a_point_for_each_setting_and_curve(runs_of_fig4: Runs, tmp_pa
     (row,) = (row for row in runs if list(row.values())[:5] == ["3", "30", "10", "oma", BEST])
     assert float(row["ee"]) == pytest.approx(final["ee"], rel=1e-5)
     assert len((tmp_path / "fig4.md").read_text().splitlines()) == 2 + 7 + 2
-
-
-def test_planned_values_are_the_trajectory_oracles_and_are_kept(
-    runs_of_fig4: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = runs_of_fig4[fig4.Fig4Setting(3, 30, 10, "oma").name][10]
-    again = overridden(run.config, ["env.oma.share=reallocate"])
-    file = tmp_path / "planned.csv"
-    values = planning.planned_values([run.config, again, run.config], file, processes=1)
-    for config, value in zip((run.config, again), values, strict=False):
-        expected = optimality_gap.trajectory_measures(Evaluator(config), SLACK).summary()
-        assert dataclasses.asdict(value).items() >= {
-            (name, expected[name]) for name in ("ee", "sum_rate", "min_rate", "path_ratio")
-        }
-    assert values[1].ee > values[0].ee == values[2].ee
-    monkeypatch.setattr(planning, "_row", lambda config: pytest.fail("was worked out again"))
-    assert planning.planned_values([again, run.config], file, 1) == [values[1], values[0]]
-
-
-def test_planned_values_outlast_an_interrupt(
-    tiny: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first, second = tiny({"seed": 1}), tiny({"seed": 2})
-    work = planning._row
-
-    def interrupted(config: Any) -> Any:
-        if config.seed == 2:
-            raise KeyboardInterrupt
-        return work(config)
-
-    monkeypatch.setattr(planning, "_row", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        planning.planned_values([first, second], tmp_path / "planned.csv", processes=1)
-    assert [row["seed"] for row in rows_of(tmp_path / "planned.csv")] == ["1"]
-
-
-def test_what_agents_see_and_are_paid_changes_no_plan(
-    tiny: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file, config = tmp_path / "planned.csv", tiny({"evaluation.episodes": 2})
-    others = {"env.state.way": "on", "env.state.others": 2, "env.reward.credit": "difference"}
-    best = tiny({"evaluation.episodes": 2, **others})
-    expected = optimality_gap.trajectory_measures(Evaluator(best), SLACK).summary()
-    (value,) = planning.planned_values([config], file, 1)
-    assert value.ee == expected["ee"]
-    assert value.ee_bits_per_joule == expected["ee_bits_per_joule"]
-    monkeypatch.setattr(planning, "_row", lambda config: pytest.fail("was worked out again"))
-    assert planning.planned_values([best], file, 1) == [value]
-
-
-def test_a_file_of_plans_that_lacks_a_measure_is_filled(tiny: Any, tmp_path: Path) -> None:
-    file, config = tmp_path / "planned.csv", tiny({"evaluation.episodes": 2})
-    whole = planning.planned_values([config], file, 1)
-    rows = [{k: v for k, v in row.items() if k != "ee_bits_per_joule"} for row in rows_of(file)]
-    with file.open("w", newline="") as text:
-        writer = csv.DictWriter(text, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    assert planning.planned_values([config], file, 1) == whole
-    assert len(rows_of(file)) == 1
-
-
-def test_what_cannot_be_planned_is_said_in_a_sentence(tiny: Any, tmp_path: Path) -> None:
-    config = tiny({"env.channel.fading": "slot"})
-    with pytest.raises(ConfigError, match=r"env\.channel\.fading=slot: allowed is static or none"):
-        planning.planned_values([config], tmp_path / "planned.csv", processes=1)
-
-
-@pytest.mark.slow
-def test_several_processes_plan_what_one_does(tiny: Any, tmp_path: Path) -> None:
-    tasks = [tiny({"seed": seed, "evaluation.episodes": 2}) for seed in (0, 1, 2)]
-    alone = planning.planned_values(tasks, tmp_path / "alone.csv", processes=1)
-    assert planning.planned_values(tasks, tmp_path / "many.csv", processes=2) == alone
-    assert (tmp_path / "many.csv").read_text() == (tmp_path / "alone.csv").read_text()
-
-
-def test_other_starts_are_planned_anew_and_replace_no_other_line(tiny: Any, tmp_path: Path) -> None:
-    file = tmp_path / "planned.csv"
-    few = {"evaluation.episodes": 2}
-    (one,) = planning.planned_values([tiny(few)], file, 1)
-    (other,) = planning.planned_values([tiny(few | {"seed": 1})], file, 1)
-    assert one != other
-    (walls,) = planning.planned_values([tiny(few | {"env.map_seed": 5})], file, 1)
-    assert walls != one
-    assert [row["seed"] for row in rows_of(file)] == ["0", "1"]  # the same setting, another map
 
 
 def outcome(ee: float, seed: int = 0, success: float = 1.0, **of: Any) -> PointOutcome:
@@ -262,7 +173,7 @@ def test_comparisons_pair_seeds_and_take_the_next_smaller_neighbour() -> None:
         outcome(ee, seed, 0.8, access="oma") for seed, ee in reversed([*enumerate((0.1, 0.2))])
     ]
     found += [outcome(0.1, seed, side=side) for seed in (0, 1) for side in (0, 10)]
-    made = {(each.what, each.side): each for each in comparisons(found) if each.access == "noma"}
+    made = {(each.what, each.side): each for each in neighbours(found) if each.access == "noma"}
     assert set(made) == {
         ("NOMA over OMA", 20),
         ("M_R = 20 over 10", 20),
@@ -276,7 +187,7 @@ def test_comparisons_pair_seeds_and_take_the_next_smaller_neighbour() -> None:
 
 def test_the_best_is_compared_with_the_defaults_and_drawn_with_its_own_mark() -> None:
     found = [outcome(0.1), outcome(0.15, curve=BEST)]
-    (made,) = comparisons(found)
+    (made,) = neighbours(found)
     assert (made.what, made.curve) == ("best over the defaults", BEST)
     assert made.percent == pytest.approx(50.0)
     figure = draw(points(found), "")
@@ -325,7 +236,7 @@ def test_a_planned_drive_is_worth_what_its_plan_says(tiny: Any) -> None:
 
 
 def test_fig_5_writes_every_slot_and_every_measure(runs_of_fig5: Runs, tmp_path: Path) -> None:
-    files = fig5.Fig5(processes=1).report(runs_of_fig5, tmp_path, quick=True)
+    files = fig5.TARGET.report(runs_of_fig5, tmp_path, quick=True)
     assert all(file.is_file() for file in files)
     check_pictures(files, ["fig5", "fig5_along", "fig5_planned", "fig5_planned_along"])
     measures = rows_of(tmp_path / "fig5_measures.csv")
@@ -354,9 +265,37 @@ def test_a_robot_that_does_not_arrive_is_crossed(tiny: Any) -> None:
     def crosses(axes: Axes) -> int:
         return sum(line.get_marker() == "X" for line in axes.lines)
 
-    arrives = draw_ways([Shown(4, "qos", there), Shown(4, "qoe", there)], "")
-    misses = draw_ways([Shown(4, "qos", there), Shown(4, "qoe", stuck)], "")
+    def shown(qoe: PlayedEpisodes) -> list[Shown]:
+        drives = {"qos": there, "qoe": qoe}
+        return [Shown(4, metric, PLANNED, None, drive) for metric, drive in drives.items()]
+
+    arrives, misses = (draw_ways(shown(qoe), "") for qoe in (there, stuck))
     assert crosses(arrives.axes[0]) == 0
     assert crosses(misses.axes[0]) == 3
-    lines = draw_along([Shown(4, "qos", there), Shown(4, "qoe", stuck)], "").axes
+    lines = draw_along(shown(stuck), "").axes
     assert [len(axes.lines) for axes in lines] == [6, 6]
+
+
+def test_every_claim_and_every_check_is_written(
+    runs_of_fig4: Runs,
+    runs_of_fig5: Runs,
+    tiny_run: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measure_shortly(monkeypatch)
+    of_fig3 = same_run(fig3.TARGET, tiny_run)
+    central = Run(tiny_run)
+    keys = ["scheme.agents=centralized", "strategy.name=none"]
+    vars(central)["config"] = overridden(central.config, keys)  # in the place of what it caches
+    runs = {**of_fig3, fig3.CENTRALIZED: {0: central}, **runs_of_fig4, **runs_of_fig5}
+    claims.TARGET.report(runs, tmp_path, quick=True)
+    found = {row["claim"]: row["verdict"] for row in rows_of(tmp_path / "claims.csv")}
+    kinds = {verdict.split(" on ")[0] for verdict in found.values()}
+    assert kinds <= {"holds", "does not hold", "depends", "not shown"}
+    assert found["F-DRL significantly reduces the communication overhead"] == "does not hold"
+    assert {row["claim"] for row in rows_of(tmp_path / "claims_checks.csv")} == set(found)
+    table = (tmp_path / "claims.md").read_text()
+    assert all(f"| {says} |" in table for says in found)
+    widths = {line.count("|") for line in table.splitlines() if line.startswith("|")}
+    assert len(widths) == 1

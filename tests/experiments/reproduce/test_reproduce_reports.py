@@ -2,57 +2,42 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from reproduce_helpers import reproduce_quickly
+from reproduce_helpers import reproduce_quickly, rows_of, same_run
 
 from experiments.reproduce.results.output import save_figure
-from experiments.reproduce.results.runs import Run, Runs
+from experiments.reproduce.results.runs import Run
 from experiments.reproduce.targets import ablations, fig3
 from storage.checkpoint_files import digest
 from training.recording.figures import running_mean
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def of(target: Any, run: Path) -> Runs:
-    """The same run twice in every cell of a target, as if it were two seeds."""
-    return {cell.name: {0: Run(run), 1: Run(run)} for cell in target.cells(quick=True)}
 
 
 def test_a_run_is_read_as_it_was_written(tiny_run: Path) -> None:
     run = Run(tiny_run)
     assert (run.seed, run.config.env.robots) == (0, 3)
     assert len(run.metrics()["reward"]) == run.summary["episodes"]
-    explored, greedy = run.evaluations(), run.greedy()
-    assert set(explored["epsilon"]) == {0.05}
-    assert set(greedy["epsilon"]) == {0.0}
-    assert explored["episode"].tolist() == greedy["episode"].tolist()
+    assert set(run.evaluations()["epsilon"]) == {0.05}
     robots, ap = run.weights()
     assert robots.shape[0] == 3
     assert ap.ndim == 1
 
 
 def test_fig3_writes_its_curves_and_tables(tiny_run: Path, tmp_path: Path) -> None:
-    files = fig3.TARGET.report(of(fig3.TARGET, tiny_run), tmp_path, quick=True)
+    files = fig3.TARGET.report(same_run(fig3.TARGET, tiny_run, (0, 1)), tmp_path, quick=True)
     assert {path.name for path in files} == {path.name for path in tmp_path.iterdir()}
     assert {"fig3.png", "fig3.svg", "fig3.csv", "fig3_convergence.md"} <= {p.name for p in files}
     assert (tmp_path / "fig3.png").read_bytes()[:4] == b"\x89PNG"
     reward = running_mean(Run(tiny_run).metrics()["reward"], fig3.SMOOTHING)
-    ours = [row for row in rows(tmp_path / "fig3.csv") if row["cell"] == fig3.OURS]
+    ours = [row for row in rows_of(tmp_path / "fig3.csv") if row["cell"] == fig3.OURS]
     for key in ("mean", "low", "high"):  # two equal runs: no width
         assert [float(row[key]) for row in ours] == pytest.approx(reward, rel=1e-5)
-    assert len(rows(tmp_path / "fig3_runs.csv")) == 2 * len(fig3.TARGET.cells(quick=True))
+    assert len(rows_of(tmp_path / "fig3_runs.csv")) == 2 * len(fig3.TARGET.cells(quick=True))
     table = (tmp_path / "fig3_convergence.md").read_text()
     assert f"| {fig3.OURS} | " in table
 
@@ -75,9 +60,10 @@ def test_a_quick_figure_says_so(tmp_path: Path) -> None:
 
 
 def test_ablations_are_differences_from_the_default(tiny_run: Path, tmp_path: Path) -> None:
-    files = ablations.TARGET.report(of(ablations.TARGET, tiny_run), tmp_path, quick=True)
+    runs = same_run(ablations.TARGET, tiny_run, (0, 1))
+    files = ablations.TARGET.report(runs, tmp_path, quick=True)
     assert {path.name for path in files} == {path.name for path in tmp_path.iterdir()}
-    found = rows(tmp_path / "ablations.csv")
+    found = rows_of(tmp_path / "ablations.csv")
     deltas = [row for row in found if row["measure"] == "ee_difference"]
     assert len(deltas) == len(ablations.TARGET.cells(quick=True))
     assert {float(row["value"]) for row in deltas} == {0.0}

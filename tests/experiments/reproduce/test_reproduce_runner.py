@@ -23,9 +23,10 @@ from conf import Config, ConfigError
 from experiments.batch.states import State, folder_of, state_of
 from experiments.batch.train import BatchOutcome
 from experiments.cli import main
-from experiments.reproduce.jobs.runner import Plan, train
+from experiments.reproduce.runner import Plan, train
 from experiments.reproduce.targets.plan import Cell
 from experiments.runtimes import local, runner
+from experiments.runtimes.folders import folder_lock
 from training.run_folder import RunFolder
 
 HERE = ["hydra/launcher=basic"]
@@ -40,9 +41,9 @@ def overrides(tiny_overrides: tuple[str, ...]) -> list[str]:
     return [*without_a_targets_own(tiny_overrides), "train.max_ticks=40", "state.every=2"]
 
 
-def planned(overrides: Sequence[str], out: Path) -> Plan:
-    """Two seeds of one cell."""
-    return Plan([Cell("tiny", tuple(overrides), (10, 11))], out)
+def planned(overrides: Sequence[str], out: Path, seeds: tuple[int, ...] = (10, 11)) -> Plan:
+    """Seeds of one cell."""
+    return Plan([Cell("tiny", tuple(overrides), seeds)], out)
 
 
 @pytest.fixture
@@ -52,11 +53,17 @@ def plan(overrides: list[str], tmp_path: Path) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def straight(overrides: list[str], tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    """A plan that was trained without a stop; not to be changed."""
-    found = planned(overrides, tmp_path_factory.mktemp("straight"))
-    trained(found)
-    return found
+def first_call(
+    overrides: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Plan, BatchOutcome, str]:
+    """A plan that was trained without a stop, its outcome, and what was said; not to be changed."""
+    plan = planned(overrides, tmp_path_factory.mktemp("straight"))
+    return plan, *trained(plan)
+
+
+@pytest.fixture(scope="module")
+def straight(first_call: tuple[Plan, BatchOutcome, str]) -> Plan:
+    return first_call[0]
 
 
 @pytest.fixture
@@ -90,8 +97,10 @@ def spoilt(monkeypatch: pytest.MonkeyPatch, seed: int, spoil: Callable[[Path], N
     return begun
 
 
-def test_everything_is_trained_where_nothing_is_done(plan: Plan) -> None:
-    outcome, said = trained(plan)
+def test_everything_is_trained_where_nothing_is_done(
+    first_call: tuple[Plan, BatchOutcome, str],
+) -> None:
+    plan, outcome, said = first_call
     assert "2 runs to train, 0 done before" in said
     assert set(outcome.done) == set(plan.configs)
 
@@ -172,7 +181,7 @@ def test_a_run_that_fails_says_why_and_the_others_go_on(
 
 
 def test_jobs_are_launched_again_where_their_launcher_broke(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
+    overrides: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 
@@ -186,17 +195,16 @@ def test_jobs_are_launched_again_where_their_launcher_broke(
         return real(self, job_overrides, initial_job_idx)
 
     monkeypatch.setattr(BasicLauncher, "launch", launch)
-    outcome, said = trained(plan)
+    outcome, said = trained(planned(overrides, tmp_path, (10,)))
     assert "RuntimeError: a process was killed" in said
     assert len(calls) == 2
     assert not outcome.failed
 
 
 def test_two_calls_do_not_train_in_one_folder(plan: Plan) -> None:
-    from experiments.reproduce.jobs.runner import alone
-
     plan.store.mkdir(parents=True)
-    with alone(plan.store), pytest.raises(ConfigError, match="nothing is being reproduced"):
+    other = folder_lock(plan.store, ("--out", plan.store, "another"))
+    with other, pytest.raises(ConfigError, match="nothing is being reproduced"):
         trained(plan)
 
 

@@ -56,7 +56,7 @@ def test_an_interval_holds_the_number_and_lies_among_the_values(values: list[flo
     found = estimate(values)
     slack = 1e-9 * max(map(abs, values)) + 1e-9
     assert min(values) - slack <= found.low <= found.high <= max(values) + slack
-    assert found.count == len(values)
+    assert found.seeds == len(values)
     assert estimate(values) == found  # no global random state
 
 
@@ -70,9 +70,9 @@ def test_an_interval_is_as_wide_as_that_of_the_mean_of_many() -> None:
 def test_equal_values_have_an_interval_of_no_width_and_one_value_none() -> None:
     assert estimate([2.0, 2.0, 2.0]) == Estimate(2.0, 2.0, 2.0, 3)
     alone = estimate([2.0])
-    assert (alone.value, alone.count) == (2.0, 1)
+    assert (alone.value, alone.seeds) == (2.0, 1)
     assert np.isnan([alone.low, alone.high]).all()
-    assert estimate([np.nan, 1.0, 3.0]).count == 2
+    assert estimate([np.nan, 1.0, 3.0]).seeds == 2
     assert np.isnan(estimate([]).value)
 
 

@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reproduce_helpers import reproduce_quickly
+from reproduce_helpers import same_run, without_a_targets_own
 from safetensors.numpy import load_file
 
 from conf import fingerprint
 from experiments.cli import main
 from experiments.reproduce.export import collect, repeat
 from experiments.reproduce.export.repeat import RegressionRun
-from experiments.reproduce.targets import fig3
+from experiments.reproduce.targets import fig3, manifest
+from experiments.reproduce.targets.plan import Cell
 from experiments.runtimes import local
 from storage.checkpoint_files import digest
 from training.run_folder import RunFolder
@@ -57,8 +58,8 @@ def check_files(results: Path) -> None:
     """Every file of a manifest is there as it was, and nothing names a folder of a machine."""
     manifests = list(results.glob("*.manifest.json"))
     assert manifests
-    for manifest in manifests:
-        for name, expected in json.loads(manifest.read_text())["files"].items():
+    for each in manifests:
+        for name, expected in json.loads(each.read_text())["files"].items():
             if name != collect.SHARED:
                 assert hashlib.sha256((results / name).read_bytes()).hexdigest() == expected
     for path in (path for path in results.rglob("*") if path.suffix in TEXT):
@@ -72,12 +73,17 @@ def check_files(results: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def reproduced(tiny_overrides: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Fig. 3 of the tiny task."""
+def reproduced(
+    tiny_run: Path, tiny_overrides: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Fig. 3 as if the tiny run were that of each of its cells."""
     out: Path = tmp_path_factory.mktemp("reproduced")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fig3, "QUICK_SEEDS", (10,))
-        reproduce_quickly("fig3", out, tiny_overrides, "train.max_ticks=100")
+    shutil.copytree(tiny_run, out / "runs" / "tiny")
+    runs = same_run(fig3.TARGET, out / "runs" / "tiny")
+    keys = tuple(without_a_targets_own(tiny_overrides))
+    files = fig3.TARGET.report(runs, out, quick=True)
+    cells = [Cell(name, keys, (0,)) for name in runs]
+    manifest.write(out, "fig3", cells, runs, files, {"quick": True})
     return out
 
 
@@ -122,7 +128,7 @@ def test_kept_episodes_are_those_of_the_same_run_again(
 ) -> None:
     monkeypatch.setattr(repeat, "TICKS", 100)
     (kept,) = repeat.read(exported)
-    assert (kept.target, kept.cell, kept.seed) == ("fig3", "F-DRL, K = 2", 10)
+    assert (kept.target, kept.cell, kept.seed) == ("fig3", "F-DRL, K = 2", 0)
     assert len(kept.rewards) == 4
     check_again(kept, tmp_path / "again")
     other = RegressionRun(**{**vars(kept), "rewards": kept.rewards + np.array([0, 0, 0, 1e-9])})
@@ -159,6 +165,7 @@ def test_what_cannot_be_exported_is_said_in_a_sentence(
 def test_the_card_says_who_picks_the_powers(reproduced: Path, tiny: Any, tmp_path: Path) -> None:
     run = tmp_path / "run"
     changes = {"run.dir": str(run), "scheme.power": "search", "evaluation.every": 1000}
+    changes |= {"train.max_ticks": 40}
     local.train(tiny(changes), RunFolder(run))
     results = tmp_path / "results"
     assert collect.main([str(reproduced), str(results), "--weights", f"k3-best={run}"]) == 0

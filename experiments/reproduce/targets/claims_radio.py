@@ -1,4 +1,4 @@
-"""Claims on energy efficiency, Fig. 4: access, power budget, robots, RIS."""
+"""Claims on Fig. 4, energy efficiency by access, budget, robots and RIS, and on Fig. 5, QoE."""
 
 from __future__ import annotations
 
@@ -6,19 +6,21 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from experiments.reproduce.results.points import (
+from experiments.reproduce.results.statistics import Floats, estimate
+from experiments.reproduce.results.verdicts import Check, Claim
+from experiments.reproduce.targets.fig4_points import (
     BEST,
     LEARNED,
     PLANNED,
     PLANNED_AGAIN,
     Of,
     PointOutcome,
+    by_setting,
     mean,
 )
-from experiments.reproduce.results.statistics import Floats, estimate
-from experiments.reproduce.results.verdicts import Check, Claim
+from experiments.reproduce.targets.fig5 import Fig5Measures
 
-WHERE = "Section IV on Fig. 4"
+FIG4 = "Section IV on Fig. 4"
 FEW, MANY = 3, 4
 """K of which the paper says different things."""
 
@@ -33,6 +35,13 @@ AXES = {
 }
 """How an axis is called, and a value of it."""
 
+FIG5 = "Section IV on Fig. 5"
+QOS, QOE = "qos", "qoe"
+DECIBELS = "+.2f"
+
+Held = Mapping[tuple[str, int, str], Floats]
+"""A measure by metric, M_R and name, shape (seeds,)."""
+
 By = Mapping[Of, Mapping[int, float]]
 """EE in bit/s/Hz/J, by setting and by seed."""
 
@@ -41,17 +50,11 @@ Pairs = Iterator[tuple[dict[str, str], Floats]]
 
 
 def fig4_claims(found: Sequence[PointOutcome]) -> list[Claim]:
-    """What the paper says of Fig. 4, of learned policies, also the best, and of planned ones.
-
-    Args:
-        found: what every run came to, and what was planned for its starts.
-
-    Returns:
-        A claim for each that some of the settings bear on.
-    """
-    by: dict[Of, dict[int, float]] = {}
-    for each in found:
-        by.setdefault(Of(*each[:5]), {})[each.seed] = each.ee
+    """What the paper says of Fig. 4, of learned policies, also the best, and of planned ones."""
+    by = {
+        of: {seed: outcome.ee for seed, outcome in by_seed.items()}
+        for of, by_seed in by_setting(found).items()
+    }
     claims: list[Claim | None] = []
     for curve in (LEARNED, BEST, PLANNED):  # the best is there for some of the settings
         drawn = (PLANNED, PLANNED_AGAIN) if curve == PLANNED else (curve,)
@@ -61,47 +64,35 @@ def fig4_claims(found: Sequence[PointOutcome]) -> list[Claim]:
 
 def _of_curve(by: By, curve: str) -> Iterator[Claim | None]:
     gain = f"gain in EE, %, {curve}; mean over settings"
-    abstract = f"abstract (iii), {WHERE}"
+    abstract = f"abstract (iii), {FIG4}"
     noma = "NOMA has a higher EE than OMA"
     yield claim(noma, abstract, gain, _noma(by, curve, curve))
     if curve == PLANNED:
         again = f"{noma} whose parts of arrived robots go to the others"
         yield claim(again, "", gain, _noma(by, curve, PLANNED_AGAIN))
-    yield claim("EE grows with P_max", WHERE, gain, _grown(by, curve, "max_dbm"))
-    yield claim("EE grows with the number of robots", WHERE, gain, _grown(by, curve, "robots"))
-    yield claim("the RIS raises EE", WHERE, gain, _with_ris(by, curve))
+    yield claim("EE grows with P_max", FIG4, gain, _grown(by, curve, "max_dbm"))
+    yield claim("EE grows with the number of robots", FIG4, gain, _grown(by, curve, "robots"))
+    yield claim("the RIS raises EE", FIG4, gain, _with_ris(by, curve))
     for k in (FEW, MANY):
         of_k = {of: ees for of, ees in by.items() if of.robots == k}
-        yield claim(f"EE grows with M_R at K = {k}", WHERE, gain, _grown(of_k, curve, "side"))
+        yield claim(f"EE grows with M_R at K = {k}", FIG4, gain, _grown(of_k, curve, "side"))
     flatter = f"at K = {FEW} EE improves less for M_R above {KNEE} than below"
     change = f"the improvement above less that below, % of the EE below, {curve}; mean"
     for how, a_row in (("in all", False), ("for each row of elements that is added", True)):
         steps = _flattening(by, curve, a_row=a_row)
-        yield claim(f"{flatter}, {how}", WHERE, change, steps, above=False)
+        yield claim(f"{flatter}, {how}", FIG4, change, steps, above=False)
 
 
 def claim(
     says: str, where: str, measure: str, pairs: Pairs, form: str = "+.1f", *, above: bool = True
 ) -> Claim | None:
-    """A claim that differences lie above zero, or below.
-
-    Args:
-        says: its content.
-        where: it stands in the paper; empty if the paper does not make it.
-        measure: what the differences are.
-        pairs: one for each setting, all of the same seeds.
-        form: how a difference is written.
-        above: whether they ought to be positive.
-
-    Returns:
-        None where nothing was compared.
-    """
+    """A claim that differences lie above zero, or below; None where nothing was compared."""
     each = list(pairs)
     if not each:
         return None
     checks = [Check(setting, estimate(values, mean), above=above) for setting, values in each]
     pooled = estimate(np.mean([values for _, values in each], axis=0), mean)
-    return Claim(says, where, "", measure, checks, pooled, form)
+    return Claim(says, measure, checks, where, pooled=pooled, form=form)
 
 
 def _noma(by: By, curve: str, rival: str) -> Pairs:
@@ -135,10 +126,7 @@ def _with_ris(by: By, curve: str) -> Pairs:
 def _flattening(by: By, curve: str, *, a_row: bool) -> Pairs:
     """With few robots, the step in M_R above the knee less the one below, in % of the EE below.
 
-    Args:
-        by: EE.
-        curve: learned or planned.
-        a_row: whether a step is divided by the rows of elements that it adds.
+    With ``a_row`` a step is divided by the rows of elements that it adds.
     """
     sides = sorted({of.side for of in by})
     if KNEE not in sides[1:-1]:
@@ -166,3 +154,77 @@ def _percent(ours: Mapping[int, float], theirs: Mapping[int, float]) -> Floats:
 def _values(ees: Mapping[int, float]) -> Floats:
     """Shape (seeds,), the least seed first."""
     return np.array([ees[seed] for seed in sorted(ees)])
+
+
+def fig5_claims(rows: Sequence[Fig5Measures]) -> list[Claim]:
+    """What the paper says of Fig. 5, of learned policies and of planned ones."""
+    claims: list[Claim | None] = []
+    for policy in (LEARNED, PLANNED):
+        found: dict[tuple[str, int, str], list[float]] = {}
+        for row in sorted((r for r in rows if r.policy == policy), key=lambda row: row.seed or 0):
+            for name in ("ee", "min_rate", "gain_db"):
+                found.setdefault((row.metric, row.side, name), []).append(getattr(row, name))
+        claims += _of_policy({of: np.array(values) for of, values in found.items()}, policy)
+    return [claim for claim in claims if claim is not None]
+
+
+def _of_policy(held: Held, policy: str) -> Iterator[Claim | None]:
+    starts = f"{policy}, held-out starts; mean over M_R"
+    percent = f"%, {starts}"
+    yield claim(
+        "QoS has a higher EE than QoE", FIG5, f"gain in EE, {percent}", _ratio(held, "ee", QOS)
+    )
+    yield claim(
+        "with QoE the worst robot has a higher rate than with QoS",
+        FIG5,
+        f"gain in the least rate, {percent}",
+        _ratio(held, "min_rate", QOE),
+    )
+    better = "QoS keeps better channels than QoE"
+    gain = "mean channel gain along the way"
+    difference = f"difference in dB of the {gain}, {starts}"
+    yield claim(better, FIG5, difference, _channels(held), DECIBELS)
+    yield claim(
+        f"{better}, the more so for M_R > {KNEE}",
+        FIG5,
+        f"that difference for M_R > {KNEE} less that for others, {policy}",
+        _wider(held),
+        DECIBELS,
+    )
+    over_none = f"gain in dB of the {gain} over M_R = 0, QoS, {starts}"
+    yield claim("the RIS enhances the channels", FIG5, over_none, _improved(held), DECIBELS)
+
+
+def _sides(held: Held) -> list[int]:
+    return sorted({side for _, side, _ in held})
+
+
+def _at(side: int) -> dict[str, str]:
+    return {"M_R": f"M_R = {side}"}
+
+
+def _ratio(held: Held, name: str, metric: str) -> Pairs:
+    """By how much a measure is larger with one metric than with the other, in %."""
+    other = QOE if metric == QOS else QOS
+    for side in _sides(held):
+        yield _at(side), 100.0 * (held[metric, side, name] / held[other, side, name] - 1.0)
+
+
+def _channels(held: Held) -> Pairs:
+    """By how many dB QoS's channels are better than QoE's."""
+    for side in _sides(held):
+        yield _at(side), held[QOS, side, "gain_db"] - held[QOE, side, "gain_db"]
+
+
+def _wider(held: Held) -> Pairs:
+    better_db = dict(zip(_sides(held), (db for _, db in _channels(held)), strict=True))
+    small = [db for side, db in better_db.items() if side <= KNEE]
+    large = [db for side, db in better_db.items() if side > KNEE]
+    if small and large:
+        yield {"M_R": f"M_R > {KNEE}"}, np.mean(large, axis=0) - np.mean(small, axis=0)
+
+
+def _improved(held: Held) -> Pairs:
+    sides = _sides(held)
+    for side in sides[1:] if 0 in sides else ():
+        yield _at(side), held[QOS, side, "gain_db"] - held[QOS, 0, "gain_db"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 from rich.console import Console
@@ -18,11 +17,7 @@ from experiments.runtimes.folders import folder_lock
 
 
 class Plan:
-    """The cells of some targets with their runs, checked.
-
-    Args:
-        cells: of all targets; names may come twice.
-        out: the folder of the call.
+    """The cells of some targets, whose names may come twice, with their runs in a call's folder.
 
     Raises:
         ConfigError: a wrong key, value or combination.
@@ -51,28 +46,15 @@ def train(
 ) -> batch.BatchOutcome:
     """Trains every run of a plan that is not done.
 
-    Args:
-        plan: the runs.
-        workers: processes at once; as many as cores if None.
-        hydra: overrides of Hydra's launcher.
-        console: where to show progress.
+    ``workers`` are processes at once, as many as cores if None, and ``hydra`` overrides of Hydra's
+    launcher.
 
     Raises:
         ConfigError: the launcher is wrong, or another call is training in this folder.
     """
     build_launcher(print, hydra, plan.store, 1)  # before anything is made
     plan.store.mkdir(parents=True, exist_ok=True)
-    with alone(plan.store):
+    busy = "--out", plan.store.parent, "a folder in which nothing is being reproduced"
+    with folder_lock(plan.store, busy):
         runs = list(plan.configs.values())
         return batch.train(runs, plan.store, console, hydra, workers, empties=True)
-
-
-def alone(store: Path) -> AbstractContextManager[None]:
-    """Holds the folder of all runs.
-
-    Raises:
-        ConfigError: another process holds it.
-    """
-    return folder_lock(
-        store, ("--out", store.parent, "a folder in which nothing is being reproduced")
-    )

@@ -1,1 +1,0 @@
-"""Training what a target needs."""
