@@ -68,7 +68,7 @@ class BuildingRun:
         Takes where the rooms live; returns what ``summary.json`` holds.
         """
         recorder, writer = self.recorder, self._accounts.writer
-        self._accounts.added = host.costs
+        self._accounts.runtime_costs = host.costs
         recorder.clients = host.clients
         recorder.on_start()
         try:

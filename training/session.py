@@ -93,7 +93,7 @@ class TrainingRun:
         if federation is not None:
             self._airtime = federation.airtime
         earlier = costs()  # of a part of the run that was played in vain
-        self._accounts.added = lambda: costs().minus(earlier)
+        self._accounts.runtime_costs = lambda: costs().minus(earlier)
         self.recorder.clients = clients
 
         def keep(last: bool) -> None:

@@ -26,7 +26,7 @@ class Accounts:
     """What runs of one room and of many have in common: clocks, checkpoints, summary.
 
     Attributes:
-        added: what the runtime has cost since this process began.
+        runtime_costs: what the runtime has cost since this process began.
         writer: of checkpoints.
     """
 
@@ -37,19 +37,21 @@ class Accounts:
             meta = resumed.meta
         self._began: float = time.perf_counter() - meta["spent"]["wall_s"]
         self._cpu_before: float = time.process_time() - meta["spent"]["cpu_s"]
-        self._earlier = Costs(**meta["costs"])
-        self.added: Callable[[], Costs] = Costs
+        self._costs_before = Costs(**meta["costs"])
+        self.runtime_costs: Callable[[], Costs] = Costs
         self.writer = Writer()
 
     def costs(self) -> Costs:
         """What the runtime has cost since the run began."""
-        return self._earlier.plus(self.added())
+        return self._costs_before.plus(self.runtime_costs())
 
     def cpu_s(self) -> float:
         """Processor time of this process and of the robots' processes since the run began."""
         return time.process_time() - self._cpu_before + self.costs().client_cpu_s
 
-    def checkpoint(self, window: int, arrays: State, recorder: Recorder, **also: float) -> None:
+    def checkpoint(
+        self, window: int, arrays: State, recorder: Recorder, **spent_too: float
+    ) -> None:
         """Writes the server's checkpoint of a window, once the one before it is there.
 
         It is of the windows that have been played. What was spent beside wall and processor time,
@@ -63,7 +65,7 @@ class Accounts:
             "spent": {
                 "wall_s": time.perf_counter() - self._began,
                 "cpu_s": time.process_time() - self._cpu_before,
-                **also,
+                **spent_too,
             },
             "costs": asdict(self.costs()),
             "marks": recorder.marks(),
