@@ -136,14 +136,17 @@ def overridden(config: Config, overrides: Sequence[str]) -> Config:
         ConfigError: a wrong key, value or combination.
     """
     node = node_of(config)
-    for override in parse(overrides):
-        OmegaConf.update(node, override.key_or_group, override.value())
+    try:
+        for override in parse(overrides):
+            OmegaConf.update(node, override.key_or_group, override.value())
+    except OmegaConfBaseException as error:
+        raise ConfigError(first_sentence(error)) from error
     return _checked(node)
 
 
 def to_yaml(config: Config) -> str:
     """The whole configuration as YAML, which messages and files of a run hold again and again."""
-    return _yaml_of(json.dumps(dataclasses.asdict(config)))
+    return _yaml_of(json.dumps(dataclasses.asdict(config), default=str))
 
 
 @lru_cache(maxsize=8)
@@ -182,8 +185,10 @@ def from_yaml(text: str) -> Config:
         ConfigError: it does not fit this version's schema.
     """
     try:
-        node = OmegaConf.create(text)
-    except (yaml.YAMLError, OmegaConfBaseException, AssertionError) as error:  # the last: "12"
+        node: Any = OmegaConf.create(text)
+    except AssertionError:  # a number alone
+        node = None
+    except (yaml.YAMLError, OmegaConfBaseException) as error:
         raise ConfigError(f"the configuration is no YAML: {first_sentence(error)}.") from error
     if not isinstance(node, DictConfig):
         raise ConfigError("the configuration is no mapping of keys to values.")

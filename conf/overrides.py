@@ -216,7 +216,7 @@ def _field(key: str) -> tuple[Any, Any]:
 
 
 def hint_of(key: str) -> Any:
-    """The annotation of a key's field; ``_field`` says what it raises."""
+    """The annotation of a key's field; a ConfigError where there is none."""
     return _field(key)[1]
 
 
@@ -233,7 +233,7 @@ def _check_value(key: str, override: Override) -> None:
     if key in PATHS and value == "":
         raise ConfigError.of([(key, "", "a path")])
     try:
-        OmegaConf.update(_trial(), key, value)
+        OmegaConf.update(_trial(), key, value, merge=False)  # whatever was tried before
     except OmegaConfBaseException as error:
         kind = f"a list such as {shown(default)}" if isinstance(default, list) else ""
         raise ConfigError.of([(key, value, kind or refused(value, hint))]) from error

@@ -150,8 +150,8 @@ class Run:
         """Plays a building's frozen weights in all its rooms, as ``risfleet evaluate`` does.
 
         Args:
-            episodes: as in ``evaluate``, in each room.
-            epsilon: as in ``evaluate``.
+            episodes: how many in each room; ``config.evaluation.episodes`` if None.
+            epsilon: probability of a random action.
             seed: picks starts and exploration; each room's own if None.
             personalise: ticks for which each room learns on by itself, to be played once more.
 

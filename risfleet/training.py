@@ -39,7 +39,7 @@ def compose(overrides: Overrides = ()) -> Config:
     """The configuration that overrides describe, checked.
 
     Args:
-        overrides: see ``train``.
+        overrides: a text, texts such as ``"env.robots=4"``, or keys with their values.
 
     Raises:
         ConfigError: a wrong key, value or combination.

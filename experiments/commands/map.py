@@ -70,10 +70,10 @@ def gains_db(config: EnvConfig, radio_map: RadioMap) -> Gains:
     """What each way of setting the phases gains over no RIS.
 
     Returns:
-        Gains of the best phase that all elements share (the paper's N = 1); of a random phase for
-        each element, the mean over ``DRAWS`` draws; of the configured actions, the best; and the
-        bound |hbar| + M |h| |g| of continuous phases. The response ``rayleigh`` and a file of
-        channels have no elements to set, and so neither random phases nor a bound.
+        Gains in dB: of the best phase that all elements share (the paper's N = 1); of a random
+        phase for each element, the mean over ``DRAWS`` draws; of the configured actions, the best;
+        and the bound |hbar| + M |h| |g| of continuous phases. The response ``rayleigh`` and a file
+        of channels have no elements to set, and so neither random phases nor a bound.
     """
     ris = config.ris
     direct_db = 20.0 * np.log10(np.abs(radio_map.direct))

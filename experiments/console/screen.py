@@ -35,7 +35,10 @@ class Screen:
 
 
 def screen_of(progress: bool | Reporter) -> Screen:
-    """The screen of a terminal or notebook if True, of none if False, or of a function."""
+    """The screen of a terminal or notebook if True, none if False, or a function's.
+
+    The function is called with the progress.
+    """
     if callable(progress):
         return Screen(Console(quiet=True), partial(Reports, progress))
     if not progress:

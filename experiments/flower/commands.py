@@ -1,4 +1,7 @@
-"""The `flwr` commands, asked for JSON: the documented way to hand in a run and to ask after it."""
+"""The `flwr` commands, asked for JSON: the documented way to hand in a run and to ask after it.
+
+Each raises a FlowerError where Flower refuses, or does not answer.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ def submit_run(
         connection: a name in Flower's configuration.
 
     Raises:
-        FlowerError: Flower refuses, or does not answer, as in all that follows.
+        FlowerError: Flower refuses, or does not answer.
     """
     app = write_manifest(session.folder / "app", components)
     config = write_run_config(session.folder / "run.toml", overrides)

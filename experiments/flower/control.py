@@ -58,7 +58,12 @@ def parse_status(status: str, details: str) -> Status:
 
 
 def is_healthy(port: int, authority: Path | None = None) -> bool:
-    """Whether a SuperLink serves that loopback port; where it speaks TLS, by which certificate."""
+    """Whether a SuperLink serves that loopback port.
+
+    Args:
+        port: the SuperLink's.
+        authority: the certificate by which it is known, where it speaks TLS.
+    """
     try:
         with closing(_connection(port, authority, timeout_s=2)) as connection:
             connection.request("GET", "/health")
@@ -85,7 +90,7 @@ def run_status(port: int, run_id: int, authority: Path | None = None) -> Status:
 
 
 def run_log(port: int, run_id: int, authority: Path | None = None) -> str:
-    """What the ServerApp and, in a simulation, the clients have printed so far.
+    """What the ServerApp and, in a simulation, the clients have printed so far, if anything.
 
     Raises:
         ControlError: no answer, or not one we understand.

@@ -23,7 +23,7 @@ class Components:
 
 
 def write_manifest(folder: Path, components: Components) -> Path:
-    """Writes the `pyproject.toml` of an app without code; returns its folder, made if missing."""
+    """Writes the `pyproject.toml` of an app without code; returns the folder, for it alone."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "pyproject.toml").write_text(
         f"""[project]
@@ -55,7 +55,7 @@ def write_run_config(path: Path, overrides: str) -> Path:
 
 
 def write_connection(home: Path, address: str, authority: Path | None = None) -> None:
-    """Names a SuperLink in a Flower home, as its default connection.
+    """Names a SuperLink on loopback in a Flower home, as its default connection.
 
     Args:
         home: Flower's.

@@ -116,7 +116,7 @@ class SuperLink:
         return status
 
     def log_tail(self, run_id: int) -> str:
-        """Last lines of what the ServerApp and the clients printed, else of the SuperLink's log."""
+        """Last lines, without colours, that the run's apps printed, else of the SuperLink's log."""
         text = ""
         with suppress(ControlError):
             text = control.run_log(self._port, run_id, self._authority)

@@ -12,9 +12,11 @@ from conf.overrides import GROUPS
 Compose = Callable[[Sequence[str]], Config]
 
 
-@pytest.fixture(scope="session")
-def composed() -> Compose:
-    """``compose``, which leaves Hydra out where keys alone are set: that takes a fifth as long."""
+@pytest.fixture(scope="session", params=["keys", pytest.param("hydra", marks=pytest.mark.slow)])
+def composed(request: pytest.FixtureRequest) -> Compose:
+    """``compose``, also as it leaves Hydra out where keys alone are set: that takes a fifth."""
+    if request.param == "hydra":
+        return compose
     defaults = compose()
 
     def make(overrides: Sequence[str]) -> Config:

@@ -231,6 +231,20 @@ def test_composing_twice_in_a_process_works_and_leaves_nothing_behind():
     assert compose().env.robots == 3
 
 
+def test_a_mistake_changes_nothing_for_what_is_composed_after_it():
+    own = ["strategy=own", "strategy.target=package:Class"]
+    for _ in range(2):
+        with pytest.raises(ConfigError, match="allowed is a mapping from words, such as"):
+            compose([*own, "strategy.options=[1]"])
+        assert compose([*own, "strategy.options={a: 1}"]).strategy.options == {"a": 1}
+
+
+@pytest.mark.parametrize("group", ["strategy=krum", "strategy/dp=local", "experiment=best"])
+def test_a_group_cannot_be_chosen_anew(group):
+    with pytest.raises(ConfigError):
+        overridden(compose(), [group])
+
+
 def test_a_configuration_survives_its_yaml():
     found = compose(["experiment=paper_literal", "env.robots=4", "env.walls.segments=[[0,1,2,3]]"])
     assert from_yaml(to_yaml(found)) == found
@@ -240,6 +254,7 @@ def test_a_configuration_survives_its_yaml():
     ("text", "message"),
     [
         ("- 1\n- 2\n", "the configuration is no mapping"),
+        ("3", "the configuration is no mapping"),
         ("env:\n  robotz: 3\n", "robotz"),
         ("env:\n  robots: many\n", "many"),
         ("agent: ${nope}\n", "Interpolation key 'nope' not found"),

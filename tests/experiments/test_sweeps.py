@@ -46,6 +46,12 @@ AGAIN = ("train", "-m", *SMALL, "seed=0,1", "run.dir=sweep")
 """The command of that sweep, once more."""
 
 
+def test_a_sweep_over_a_group_gives_what_single_runs_give(tmp_path: Path) -> None:
+    assert main(["train", "-m", *SMALL, "strategy=none,fedavg", "run.dir='my sweep'"]) == 0
+    assert main(["train", *SMALL, "strategy=fedavg", "run.dir=single"]) == 0
+    assert summary(tmp_path / "my sweep" / "1")["digest"] == summary(tmp_path / "single")["digest"]
+
+
 def test_a_sweep_runs_every_combination_as_single_runs(ended: Path, tmp_path: Path) -> None:
     found = [summary(ended / str(job)) for job in range(2)]
     assert [run["seed"] for run in found] == [0, 1]
