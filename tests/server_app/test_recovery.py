@@ -15,10 +15,11 @@ from flwr.app import Context, Message
 from client_app.app import RoundConfig, train
 from client_app.robots import RobotGroup
 from conf import Config
-from lockstep import LinkTimeout, RobotLost, ServerLost
+from lockstep import LinkServer, LinkTimeout, RobotLost, ServerLost
 from lockstep import client as link_client
 from lockstep.errors import Disconnected
 from server_app import recovery as lifeline_module
+from server_app.clients import Clients
 from server_app.nodes import RoundError, placed
 from storage.checkpoint_files import checkpoints
 from storage.checkpoint_layout import node_folder, robot_folder, server_folder
@@ -49,6 +50,18 @@ class MovingGrid(FakeGrid):
             if not self.looks_away:
                 self.nodes[:] = self.all_nodes
         return there
+
+
+def test_a_client_is_started_where_it_was_on_a_new_node_or_on_any_that_is_spare(
+    deployed: Tiny,
+) -> None:
+    clients = Clients(deployed(), FakeGrid(4), cast(LinkServer, None), [100, 101, 102])
+    clients._known, block = {100, 101, 102, 103}, (1,)
+    assert clients._node_for(block, {100, 101, 102, 103}) == 101
+    clients._pending = {block: "message"}  # of which nobody knows what became
+    assert clients._node_for(block, {100, 101, 102, 103}) is None
+    assert clients._node_for(block, {100, 101, 102, 103, 104}) == 104
+    assert clients._node_for(block, {100, 102, 103}) == 103
 
 
 # --- The same bits --------------------------------------------------------------------------------
