@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
@@ -145,13 +144,8 @@ def overridden(config: Config, overrides: Sequence[str]) -> Config:
 
 
 def to_yaml(config: Config) -> str:
-    """The whole configuration as YAML, which messages and files of a run hold again and again."""
-    return _yaml_of(json.dumps(dataclasses.asdict(config), default=str))
-
-
-@lru_cache(maxsize=8)
-def _yaml_of(values: str) -> str:
-    return OmegaConf.to_yaml(OmegaConf.merge(schema_node(), json.loads(values)))
+    """The whole configuration as YAML."""
+    return OmegaConf.to_yaml(node_of(config))
 
 
 def commented_yaml(config: Config) -> str:
