@@ -23,22 +23,6 @@ def problems(config: EnvConfig) -> list[Problem]:
     return validate.problems(config, RULES, "env.")
 
 
-def _geometry_problems(config: EnvConfig) -> list[Problem]:
-    """Of the room and all that has a place in it, each part counting on those before it."""
-    starts = _fixed_start_problems if config.tasks.start == "fixed" else _start_problems
-    for rule in (
-        _room_problems,
-        mounting.problems,
-        _destination_problems,
-        starts,
-        _way_problems,
-        lateness.given_problems,
-    ):
-        if found := list(rule(config)):
-            return found
-    return []
-
-
 def _room_problems(config: EnvConfig) -> Iterator[Problem]:
     room = config.room
     for key, side in (("env.room.width_m", room.width_m), ("env.room.depth_m", room.depth_m)):
@@ -71,6 +55,8 @@ def _destination_problems(config: EnvConfig) -> Iterator[Problem]:
 
 def _start_problems(config: EnvConfig) -> Iterator[Problem]:
     """Whether some cell is far enough from each destination; a drawn one may lie in the middle."""
+    if config.tasks.start == "fixed":
+        return
     room, tasks = config.room, config.tasks
     destinations, number = _given_destinations(config)
     if number > len(destinations):
@@ -95,6 +81,8 @@ def _given_destinations(config: EnvConfig) -> tuple[list[Any], int]:
 
 
 def _fixed_start_problems(config: EnvConfig) -> Iterator[Problem]:
+    if config.tasks.start != "fixed":
+        return
     key, room, starts = "env.tasks.starts_m", config.room, config.tasks.starts_m
     off = [place for place in starts if not _numbers(place, 2) or not _inside(room, place)]
     yield from ((key, place, _in_the_room(room)) for place in off)
@@ -203,8 +191,7 @@ def _combination_problems(config: EnvConfig) -> Iterator[Problem]:
 
 def _pair_problems(config: EnvConfig) -> Iterator[Problem]:
     """Whether the distances from every element to every cell are too many to work out."""
-    ris, room = config.ris, config.room
-    cells = round(room.width_m / room.cell_m) * round(room.depth_m / room.cell_m)
+    ris, cells = config.ris, Floor.from_config(config).cells
     if ris.response in ("far", "near") and ris.side**2 * cells > MAX_PAIRS:
         allowed = (
             f"at most {math.isqrt(MAX_PAIRS // cells)} with env.ris.response={ris.response} and"
@@ -215,11 +202,12 @@ def _pair_problems(config: EnvConfig) -> Iterator[Problem]:
 
 def _codebook_problems(config: EnvConfig) -> Iterator[Problem]:
     """Whether beams can be made: from places of elements, for sectors that have cells."""
-    ris, room, say = config.ris, config.room, "with env.ris.action=codebook"
-    cells = [round(length / room.cell_m) for length in (room.width_m, room.depth_m)]
-    shape = len(ris.sectors) == 2 and all(isinstance(number, int) for number in ris.sectors)
+    ris, say = config.ris, "with env.ris.action=codebook"
     if ris.action != "codebook":
         return
+    floor = Floor.from_config(config)
+    cells = floor.columns, floor.rows
+    shape = len(ris.sectors) == 2 and all(isinstance(number, int) for number in ris.sectors)
     if ris.response not in ("far", "near"):
         allowed = f"far or near {say}, since a beam needs elements with places"
         yield "env.ris.response", ris.response, allowed
@@ -241,7 +229,13 @@ def _codebook_problems(config: EnvConfig) -> Iterator[Problem]:
 RULES = (
     plugins.problems,
     channel_file.key_problems,
-    _geometry_problems,
+    _room_problems,
+    mounting.problems,
+    _destination_problems,
+    _start_problems,
+    _fixed_start_problems,
+    _way_problems,
+    lateness.given_problems,
     _combination_problems,
     _pair_problems,
     _codebook_problems,

@@ -100,8 +100,36 @@ class BranchingDQN(ReplayAgents):
         return float(self._take_rows(self._always)[0])
 
 
+class _HeadStep(GradientStep):
+    """One gradient step of a network with several heads, on rows of their own layout."""
+
+    def take(self, heads: Heads, rows: HeadRows) -> None:
+        """Says what the outputs are, and where a transition's fields stand."""
+        self._heads, self._rows, self._samples = heads, rows, np.arange(self._size)
+
+    def run(self) -> FloatArray:
+        """Computes the gradient; returns the mean loss, shape (1,)."""
+        self._run_forward()
+        fields, layout, samples = self._batch[0].T, self._rows, self._samples
+        active, terminal = fields[layout.active], fields[layout.terminal]
+        q, target_q = self._forward.q[0]
+        by = self._next_online_q()
+        values = self._heads.values(target_q, None if by is None else by[0])
+        going_on = active * (1 - terminal)
+        targets = self._heads.targets(fields[layout.rewards], terminal, going_on, values)
+        places = fields[layout.actions].astype(np.intp) + self._heads.starts[:, None]
+        losses, grad = huber(q[places, samples] - targets, self._config.huber_delta)
+        share = active / np.float32(active.size)
+        self._backward.grad.fill(0)
+        self._backward.grad[0, places, samples] = grad * share
+        self._backward.run()
+        return np.array([(losses * share).sum()], np.float32)
+
+
 class BranchingLearner(Learner):
     """The learner of one network with several heads, whose discounts are the heads' own."""
+
+    _step_type = _HeadStep
 
     def __init__(
         self, shape: NetworkShape, heads: Heads, config: AgentConfig, layout: HeadRows
@@ -111,40 +139,7 @@ class BranchingLearner(Learner):
         super().__init__(shape, config, discount=1.0, agents=1, width=layout.width)
 
     def _plan(self, start: int, stop: int) -> GradientStep:
-        step = _HeadStep(
-            self._shape,
-            self._config,
-            self._discount,
-            self._weights,
-            self._gradient[:, 0],
-            self.batch,
-            self._scratch,
-        )
-        step.heads, step.rows = self._heads, self._layout
+        step = super()._plan(start, stop)
+        assert isinstance(step, _HeadStep)
+        step.take(self._heads, self._layout)
         return step
-
-
-class _HeadStep(GradientStep):
-    """One gradient step of a network with several heads, on rows of their own layout."""
-
-    heads: Heads
-    rows: HeadRows
-
-    def run(self) -> FloatArray:
-        """Computes the gradient; returns the mean loss, shape (1,)."""
-        self._run_forward()
-        fields, layout = self._batch[0].T, self.rows
-        active, terminal = fields[layout.active], fields[layout.terminal]
-        q, target_q = self._forward.q[0]
-        by = self._next_online_q()
-        values = self.heads.values(target_q, None if by is None else by[0])
-        going_on = active * (1 - terminal)
-        targets = self.heads.targets(fields[layout.rewards], terminal, going_on, values)
-        places = fields[layout.actions].astype(np.intp) + self.heads.starts[:, None]
-        samples = np.arange(self._size)
-        losses, grad = huber(q[places, samples] - targets, self._config.huber_delta)
-        share = active / np.float32(active.size)
-        self._backward.grad.fill(0)
-        self._backward.grad[0, places, samples] = grad * share
-        self._backward.run()
-        return np.array([(losses * share).sum()], np.float32)

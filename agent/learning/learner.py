@@ -43,6 +43,8 @@ class Learner:
         batch: the sampled transitions' place, shape (n, B, row width).
     """
 
+    _step_type = GradientStep
+
     def __init__(
         self,
         shape: NetworkShape,
@@ -128,7 +130,7 @@ class Learner:
     def _plan(self, start: int, stop: int) -> GradientStep:
         """Plans the gradient step of the agents [start, stop)."""
         part = slice(start, stop)
-        return GradientStep(
+        return self._step_type(
             self._shape,
             self._config,
             self._discount,

@@ -19,12 +19,14 @@ Columns = dict[str, NDArray[Any]]
 """Values of infos by name: a row for each world, of all its robots or of the one that is seen."""
 
 
-def slot_columns(world: World, channel: Complexes, outcome: StepResult | None) -> Columns:
+def slot_columns(
+    world: World, channel: Complexes | None = None, outcome: StepResult | None = None
+) -> Columns:
     """What robots' infos hold, by name, each of shape (B, K).
 
     Args:
         world: B worlds after the slot.
-        channel: h_k in the slot, shape (B, K).
+        channel: h_k in the slot, shape (B, K); None after a reset: the direct one.
         outcome: what the slot brought; None after a reset, when nothing has been sent.
     """
     nothing, never = np.zeros(world.cell.shape), np.zeros(world.cell.shape, dtype=bool)
@@ -32,7 +34,7 @@ def slot_columns(world: World, channel: Complexes, outcome: StepResult | None) -
     return {
         "rate": outcome.rate if outcome else nothing,
         "power_w": sent.power_w if sent else nothing,
-        "gain_db": 20.0 * np.log10(np.abs(channel)),
+        "gain_db": 20.0 * np.log10(np.abs(world.direct if channel is None else channel)),
         "sic_failed": sent.sic_failed if sent else never,
         "arrived": outcome.arrived if outcome else never,
         "shortest_slots": world.shortest_slots,
@@ -42,7 +44,7 @@ def slot_columns(world: World, channel: Complexes, outcome: StepResult | None) -
 def fleet_infos(
     world: World,
     robots: Sequence[str],
-    channel: Complexes,
+    channel: Complexes | None = None,
     outcome: StepResult | None = None,
     *,
     masks: bool = False,

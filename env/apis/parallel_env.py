@@ -201,7 +201,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
         self.world.reset(cell)
         self.agents = list(self.possible_agents)
         self._way, self._outcome = [self.world.cell[0]], None
-        return self._observations(), self._infos(self.world.direct)
+        return self._observations(), self._infos()
 
     def step(
         self, actions: Mapping[str, Any]
@@ -250,7 +250,7 @@ class RISFleetParallelEnv(ParallelEnv):  # type: ignore[misc]
             raise ValueError(f"action of {agent}={action!r}: allowed is {allowed}")
         return int(action)
 
-    def _infos(self, channel: Complexes, outcome: StepResult | None = None) -> Infos:
+    def _infos(self, channel: Complexes | None = None, outcome: StepResult | None = None) -> Infos:
         return fleet_infos(self.world, self.robots, channel, outcome, masks=self.absorbing)
 
     def _observations(self) -> Observations:

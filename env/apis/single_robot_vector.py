@@ -181,9 +181,7 @@ class SingleRobotVectorEnv(VectorEnv[Observations, Ints, NDArray[Any]]):
         phase: Ints | None = None,
     ) -> Columns:
         """The infos of a slot, each of shape (num_envs,); without one, those of a reset."""
-        columns = slot_columns(
-            self.world, self.world.direct if channel is None else channel, outcome
-        )
+        columns = slot_columns(self.world, channel, outcome)
         return {
             **{name: column[:, 0] for name, column in columns.items()},
             "sum_rate": columns["rate"].sum(axis=-1),

@@ -15,11 +15,12 @@ from env.arrays import Bools, Floats
 from env.config import EnvConfig
 from env.geometry.floor import Floor
 from env.radio.radio_map import RadioMap
-from env.world import World
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
+
+    from env.world import World
 
 ROBOT_COLOURS = ("#e4572e", "#2e86de", "#f3b61f", "#8e44ad", "#16a085", "#d81b60", "#6d4c41")
 """Colours of the robots in turn; those of Fig. 5 come first."""
