@@ -55,7 +55,7 @@ def build_plugin(
     Args:
         make: Hydra's function for such a plug-in.
         task: what is called for each job.
-        overrides: what is chosen of groups, and then keys of ``hydra``.
+        overrides: what is chosen of groups, and keys of ``hydra``: the last one counts.
         place: Hydra's folder for the sweep.
 
     Raises:

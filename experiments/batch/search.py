@@ -18,7 +18,7 @@ from conf import ConfigError
 from conf.overrides import is_hydras, lines
 from conf.own_groups import folders_of, override_of
 from experiments.batch.launcher import build_plugin
-from experiments.batch.sweeps import holds_runs_alone
+from experiments.batch.sweeps import DIR, HYDRAS, holds_runs_alone
 from experiments.console import PLAIN
 from experiments.runtimes.folders import dated, made, run_lock
 from experiments.runtimes.runner import ERRORS, print_error, train_missing
@@ -29,8 +29,8 @@ MEASURES = ("success", "ee", "ee_bits_per_joule", "sum_rate", "min_rate", "path_
 PARTS = ("greedy", "eps05", "last5", "last5_greedy")
 OBJECTIVE = "greedy.ee"
 
-HYDRAS = ("multirun.yaml", "optimization_results.yaml")
-"""What Hydra and its sweepers leave in a sweep's folder."""
+FOUND = "optimization_results.yaml"
+"""What sweepers leave in a sweep's folder beside ``HYDRAS``."""
 
 Trial = Callable[[int, Sequence[str]], float]
 """Trains the run of a number with what was chosen for it; gives what it reached."""
@@ -76,9 +76,7 @@ def build_sweeper(trial: Trial, hydra: Sequence[str], place: Path) -> Sweeper:
         job = HydraConfig.get()
         return trial(int(job.job.num), list(job.overrides.task))
 
-    choices = [item for item in hydra if "/" in item]
-    keys = [*ours, *(item for item in hydra if "/" not in item)]
-    sweeper = build_plugin(Plugins.instance().instantiate_sweeper, task, [*choices, *keys], place)
+    sweeper = build_plugin(Plugins.instance().instantiate_sweeper, task, [*ours, *hydra], place)
     logging.getLogger("optuna").setLevel(logging.WARNING)
     return sweeper
 
@@ -120,8 +118,8 @@ def search(overrides: Sequence[Override], folder: Path | None, objective: str) -
     if own := folders_of(runs):
         hydra = [override_of(own), *hydra]
     build_sweeper(lambda number, values: 0.0, hydra, Path())  # a mistake leaves no folder behind
-    if folder is not None and not holds_runs_alone(folder, HYDRAS):
-        raise ConfigError.of([("run.dir", folder, "a folder that is new or empty, or of a sweep")])
+    if folder is not None and not holds_runs_alone(folder, {HYDRAS, FOUND}):
+        raise ConfigError.of([(DIR, folder, "a folder that is new or empty, or of a sweep")])
     folder = made(folder or dated(Path("multirun")))
     console = Console()
     console.print(f"sweep folder: {folder}", **PLAIN)
@@ -152,7 +150,7 @@ def search(overrides: Sequence[Override], folder: Path | None, objective: str) -
 
 def _show_best(console: Console, folder: Path, objective: str) -> None:
     """Says what the sweeper has found, if it writes that as Hydra's own do."""
-    file = folder / HYDRAS[1]
+    file = folder / FOUND
     if file.is_file() and "best_params" in (found := OmegaConf.load(file)):
         values = " ".join(f"{key}={value}" for key, value in found.best_params.items())
         console.print(f"best: {objective} is {found.best_value:.6g} with {values}", **PLAIN)

@@ -28,10 +28,6 @@ LOOPBACK = ("localhost", "127.0.0.1")
 _NODE = "node-"
 
 
-class KeysError(ConfigError):
-    """A user's mistake, in one sentence."""
-
-
 @dataclass(frozen=True)
 class NodeKeys:
     """What one SuperNode's host needs, in a folder of its own that is copied there."""
@@ -99,7 +95,7 @@ def make_keys(folder: Path, hosts: Sequence[str], nodes: int) -> FleetKeys:
         nodes: number of SuperNodes.
 
     Raises:
-        KeysError: a host is none, the number is out of range, or the folder holds something.
+        ConfigError: a host is none, the number is out of range, or the folder holds something.
         OSError: the folder cannot be written.
     """
     _check_number(nodes, "--nodes")
@@ -107,9 +103,9 @@ def make_keys(folder: Path, hosts: Sequence[str], nodes: int) -> FleetKeys:
         try:
             alternative_name(host)
         except ValueError as error:
-            raise KeysError(f"--host {error}.") from error
+            raise ConfigError(f"--host {error}.") from error
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise KeysError(f"{folder} exists and is not empty: nothing is ever overwritten.")
+        raise ConfigError(f"{folder} exists and is not empty: nothing is ever overwritten.")
 
     def fill(place: Path) -> None:
         authority_key, key = (ec.generate_private_key(ec.SECP384R1()) for _ in range(2))
@@ -138,14 +134,14 @@ def add_nodes(folder: Path, nodes: int) -> list[NodeKeys]:
     """Makes keys for further SuperNodes of a fleet, which are returned; needs no ``ca.key``.
 
     Raises:
-        KeysError: the folder holds no fleet's keys, or the number is out of range.
+        ConfigError: the folder holds no fleet's keys, or the number is out of range.
         OSError: the folder cannot be written.
     """
     _check_number(nodes, "--add")
     try:
         authority = (folder / "ca.crt").read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise KeysError(f"{folder} holds no fleet's keys: make them with --nodes.") from None
+        raise ConfigError(f"{folder} holds no fleet's keys: make them with --nodes.") from None
     first = max(_numbers(folder), default=-1) + 1
     added = [NodeKeys(folder / f"{_NODE}{first + offset}") for offset in range(nodes)]
     for node in added:
@@ -155,7 +151,7 @@ def add_nodes(folder: Path, nodes: int) -> list[NodeKeys]:
 
 def _check_number(nodes: int, option: str) -> None:
     if not 1 <= nodes <= MAX_ROBOTS:
-        raise KeysError(f"{option} {nodes}: allowed are 1 to {MAX_ROBOTS}.")
+        raise ConfigError(f"{option} {nodes}: allowed are 1 to {MAX_ROBOTS}.")
 
 
 def _numbers(folder: Path) -> list[int]:

@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from conf import Config, flower_clients, has_rooms, to_yaml
+from conf.errors import first_sentence
 from experiments.flower.connection import Connection
 from experiments.flower.control import RunState, Status
 from experiments.flower.engine import SimulationSuperLink
@@ -83,7 +84,7 @@ def _run_with_restarts(config: Config, folder: RunFolder, resumed: Checkpoint | 
             reached, in_vain = max(reached, window), 0 if window > reached else in_vain + 1
             if in_vain > MOST_IN_VAIN:
                 raise
-            sentence = str(error).splitlines()[0].removesuffix(".")
+            sentence = first_sentence(error).removesuffix(".")
             restarts.append(f"{sentence}. Starting again from window {window}.")
             with suppress(OSError):
                 folder.progress_file.unlink(missing_ok=True)

@@ -210,14 +210,18 @@ def _ratio(held: Held, name: str, metric: str) -> Pairs:
         yield _at(side), 100.0 * (held[metric, side, name] / held[other, side, name] - 1.0)
 
 
+def _better_db(held: Held) -> dict[int, Floats]:
+    """By how many dB QoS's channels are better than QoE's, by M_R."""
+    return {side: held[QOS, side, "gain_db"] - held[QOE, side, "gain_db"] for side in _sides(held)}
+
+
 def _channels(held: Held) -> Pairs:
-    """By how many dB QoS's channels are better than QoE's."""
-    for side in _sides(held):
-        yield _at(side), held[QOS, side, "gain_db"] - held[QOE, side, "gain_db"]
+    for side, db in _better_db(held).items():
+        yield _at(side), db
 
 
 def _wider(held: Held) -> Pairs:
-    better_db = dict(zip(_sides(held), (db for _, db in _channels(held)), strict=True))
+    better_db = _better_db(held)
     small = [db for side, db in better_db.items() if side <= KNEE]
     large = [db for side, db in better_db.items() if side > KNEE]
     if small and large:

@@ -15,9 +15,10 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from conf import ConfigError
 from experiments.cli import main
 from experiments.flower import keys as keys_module
-from experiments.flower.keys import FleetKeys, KeysError, add_nodes, make_keys
+from experiments.flower.keys import FleetKeys, add_nodes, make_keys
 
 HOST = "ap.example"
 PATIENCE_S = 120.0
@@ -242,7 +243,7 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "exists and is not empty" in capsys.readouterr().err
     file = tmp_path / "file"
     file.write_text("mine")
-    with pytest.raises(KeysError, match="exists and is not empty"):
+    with pytest.raises(ConfigError, match="exists and is not empty"):
         make_keys(file, [HOST], 1)
     assert file.read_text() == "mine"
     after = {path: path.read_bytes() for path in keys.folder.rglob("*") if path.is_file()}
