@@ -50,8 +50,7 @@ def main(grid: Grid, context: Context) -> None:
 
 def _train(grid: Grid, config: Config, folder: RunFolder, resumed: Checkpoint | None) -> None:
     """Deals the robots, or the rooms, to the federation's nodes and trains with them."""
-    run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
-    config = dataclasses.replace(config, run=run)
+    config = resume.identified(config, folder.path)
     if has_rooms(config):
         try:
             wait_for_nodes(grid, flower_clients(config), config.runtime.start_timeout_s)

@@ -8,7 +8,6 @@ across rooms every ``rooms.every`` such windows, which is a round.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -172,7 +171,7 @@ class BuildingRun:
     def _checkpoint(self) -> None:
         """Writes the server's checkpoint of a round; those of all rooms are there."""
         run = {
-            "progress": np.array(astuple(self.progress)),
+            "progress": self.progress.counters(),
             "model": self._model,
             "played": self._played,
             "ticks": self._ticks,

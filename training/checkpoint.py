@@ -51,7 +51,7 @@ class Checkpoint:
     @property
     def progress(self) -> Progress:
         """How far the run had come."""
-        return Progress(*(int(count) for count in self.arrays["run/progress"]))
+        return Progress.of(self.arrays["run/progress"])
 
     @property
     def model(self) -> NDArray[np.float32] | None:

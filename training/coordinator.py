@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import astuple
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -144,7 +143,7 @@ class Coordinator:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All of the server's side that the run needs to go on from a window boundary."""
-        counters = np.array(astuple(self.progress))
+        counters = self.progress.counters()
         run = {"progress": counters, "stream": generator_state(self._world.generator)}
         run |= {"robots": self._shared} if self._model is None else {"model": self._model}
         return flat(
@@ -160,7 +159,7 @@ class Coordinator:
     def _restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Takes back what ``state`` gave."""
         run = part(state, "run")
-        self.progress = Progress(*(int(count) for count in run["progress"]))
+        self.progress = Progress.of(run["progress"])
         if (model := run.get("model")) is None:
             self._shared = run["robots"]
         else:

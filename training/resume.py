@@ -33,9 +33,11 @@ MAY_CHANGE = ("train.episodes", "train.max_ticks")
 """What a resume may set: when the run ends. All else would make it another run."""
 
 
-def new_id() -> str:
-    """A fresh identity for a run, 16 hexadecimal digits."""
-    return secrets.token_hex(8)
+def identified(config: Config, folder: Path) -> Config:
+    """A configuration that says where its run is, and names it, if it has no name yet."""
+    identity = config.run.id or secrets.token_hex(8)
+    run = dataclasses.replace(config.run, dir=str(folder), id=identity)
+    return dataclasses.replace(config, run=run)
 
 
 def asked(overrides: Sequence[str]) -> bool:

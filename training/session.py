@@ -52,7 +52,6 @@ class TrainingRun:
         single_threaded()
         self.config, self.folder, self._resumed = config, folder, resumed
         self._accounts = Accounts(config, folder, resumed)
-        self._airtime = Airtime(config) if robots_learn(config) else None
         scenario = Scenario.drawn(config.env, config.seed)
         self.world = World(scenario, stream(config.seed, Stream.WORLD), config.train.worlds)
         self.ap = build_ris_controller(config, self.world)
@@ -90,8 +89,6 @@ class TrainingRun:
         except BaseException:
             self.recorder.close()
             raise
-        if federation is not None:
-            self._airtime = federation.airtime
         earlier = costs()  # of a part of the run that was played in vain
         self._accounts.runtime_costs = lambda: costs().minus(earlier)
         self.recorder.clients = clients
@@ -166,8 +163,11 @@ class TrainingRun:
             "uploads": None if federation is None else federation.uploads(),
             "arrivals": found.arrivals.tolist(),
         }
-        if self._airtime is not None:
-            summary["airtime"] = self._airtime.summary(summary["evaluation"]["last5"])
+        airtime = Airtime(config) if robots_learn(config) else None
+        if federation is not None:
+            airtime = federation.airtime
+        if airtime is not None:
+            summary["airtime"] = airtime.summary(summary["evaluation"]["last5"])
         self.folder.write_summary(summary)
         if config.run.figures:
             from training.recording.figures import save_figures  # matplotlib: where it is wanted

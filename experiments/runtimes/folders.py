@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import fcntl
 import os
 import time
@@ -56,8 +55,7 @@ def prepare_run(config: Config, folder: Path) -> tuple[Config, RunFolder]:
         ConfigError: it cannot be made.
     """
     folder = made(folder)
-    run = dataclasses.replace(config.run, dir=str(folder), id=config.run.id or resume.new_id())
-    return dataclasses.replace(config, run=run), RunFolder(folder)
+    return resume.identified(config, folder), RunFolder(folder)
 
 
 def made(folder: Path) -> Path:

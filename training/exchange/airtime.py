@@ -46,8 +46,8 @@ class Airtime:
 
     def add(self, facts: WindowFacts, asked: NDArray[np.intp]) -> None:
         """Counts the exchange at a window's end, in which the robots that are asked send, (M,)."""
-        took_s = (self._up_s / self._rates(facts.channel_db)[asked]).sum()
-        took_s += self._down_s / self._rates(facts.channel_db).min()
+        rates = self._rates(facts.channel_db)
+        took_s = (self._up_s / rates[asked]).sum() + self._down_s / rates.min()
         self._slots += float(took_s) / self._slot_s
         self._driven += float(facts.actions.sum()) / self._worlds
         self._ticks += self._every

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import astuple, dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,15 @@ class Progress:
     tick: int = 0
     window: int = 0
     episodes: int = 0
+
+    def counters(self) -> NDArray[Any]:
+        """As a checkpoint has it."""
+        return np.array(astuple(self))
+
+    @classmethod
+    def of(cls, counters: NDArray[Any]) -> Progress:
+        """What ``counters`` gave."""
+        return cls(*counters.tolist())
 
     def reaches(self, train: TrainConfig) -> bool:
         """Whether a run that is to be so long is over."""
