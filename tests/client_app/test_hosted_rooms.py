@@ -28,8 +28,7 @@ Reports = Mapping[int, RoomReport]
 def first(config: Config, index: int = 0) -> NDArray[np.float32]:
     """What all robots, or with index 1 access points, start from."""
     network = ap_network(config) if index else robot_network(config)
-    weights = network.initial_weights(stream(config.seed, Stream.WEIGHTS, index))
-    return np.stack([weights, weights])
+    return network.initial_pair(stream(config.seed, Stream.WEIGHTS, index))
 
 
 def task(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from building_helpers import LossyRooms, StandIns
-from resume_helpers import rows, summary
+from resume_helpers import summary
 
 from conf import Config, ConfigError, ap_network, robot_network
 from conf.rooms import from_json, rooms_of
@@ -21,6 +21,7 @@ from experiments.cli import main
 from experiments.runtimes import local
 from storage.checkpoint_files import CheckpointError, checkpoints, digest
 from storage.checkpoint_layout import room_folder, server_folder
+from tools.chaos.verdict import rows_of
 from training.building import BuildingRun
 from training.checkpoint import latest
 from training.recording.history import EVALUATIONS, MEASURES
@@ -42,7 +43,7 @@ GOES_ON = {"train.max_ticks": 50, "evaluation.every": 5, "rooms.held_out": 1}
 
 
 def records(folder: Path) -> list[list[dict[str, str]]]:
-    return [rows(folder / name) for name in ("metrics.csv", "rooms.csv", "evaluations.csv")]
+    return [rows_of(folder / name) for name in ("metrics.csv", "rooms.csv", "evaluations.csv")]
 
 
 def trained(
@@ -116,7 +117,7 @@ def resume(tmp_path: Path) -> Callable[..., Summary]:
 
 
 def test_every_episode_of_any_room_has_a_row(building_run: Path) -> None:
-    found, told = rows(building_run / "metrics.csv"), summary(building_run)
+    found, told = rows_of(building_run / "metrics.csv"), summary(building_run)
     assert tuple(found[0]) == ROOM_METRICS
     for room in range(3):
         own = [row for row in found if row["room"] == str(room)]
@@ -130,8 +131,8 @@ def test_every_episode_of_any_room_has_a_row(building_run: Path) -> None:
 
 
 def test_every_evaluation_has_two_rows_for_each_room_and_their_mean(building_run: Path) -> None:
-    found = rows(building_run / "rooms.csv")
-    means = rows(building_run / "evaluations.csv")
+    found = rows_of(building_run / "rooms.csv")
+    means = rows_of(building_run / "evaluations.csv")
     assert tuple(found[0]) == ROOMS
     assert len(means) >= 2
     assert len(found) == 8 * (len(means) // 2 + 1)  # and one at the end
@@ -150,7 +151,7 @@ def test_every_evaluation_has_two_rows_for_each_room_and_their_mean(building_run
 
 def test_the_summary_says_what_the_rooms_came_to(building_run: Path) -> None:
     told = summary(building_run)
-    last = rows(building_run / "rooms.csv")[-8:]
+    last = rows_of(building_run / "rooms.csv")[-8:]
     assert (told["ticks"], told["windows"]) == (40, 8)
     rooms = told["rooms"]
     assert (rooms["count"], rooms["robots"], rooms["ticks"]) == (3, 6, [40] * 3)
@@ -162,7 +163,7 @@ def test_the_summary_says_what_the_rooms_came_to(building_run: Path) -> None:
         name: rooms["trained_in"][name] for name in MEASURES
     } or np.isnan(rooms["trained_in"]["path_ratio"])
     assert not told["stopped_early"]
-    assert tuple(rows(building_run / "evaluations.csv")[0]) == tuple(
+    assert tuple(rows_of(building_run / "evaluations.csv")[0]) == tuple(
         name for name in EVALUATIONS if name != "cpu_s"
     )
 
@@ -228,8 +229,8 @@ def test_all_rooms_start_alike(build: Any) -> None:
     [task] = host.asked
     config = host.config
     own = [each.room.config(config) for each in task.rooms]
-    first = robot_network(own[0]).initial_weights(stream(config.seed, Stream.WEIGHTS))
-    assert np.array_equal(task.model, np.stack([first, first]))
+    initial = robot_network(own[0]).initial_pair(stream(config.seed, Stream.WEIGHTS))
+    assert np.array_equal(task.model, initial)
     assert np.array_equal(task.rooms[0].ap, task.rooms[2].ap)
     assert [each.ap.shape[1] for each in task.rooms] == [
         ap_network(each).parameters for each in own
@@ -357,7 +358,9 @@ def test_an_evaluation_plays_in_so_many_rooms_and_the_last_one_in_all(
 ) -> None:
     changes = {"rooms.evaluated": 2, "rooms.held_out": 3, "evaluation.every": 3}
     build("run", {**changes, "train.max_ticks": 20})
-    names = [f"{row['held_out']}{row['room']}" for row in rows(tmp_path / "run" / "rooms.csv")[::2]]
+    names = [
+        f"{row['held_out']}{row['room']}" for row in rows_of(tmp_path / "run" / "rooms.csv")[::2]
+    ]
     assert names[:-6] == ["00", "02", "10", "12"] * (len(names) // 4 - 1)
     assert names[-6:] == ["00", "01", "02", "10", "11", "12"]
 

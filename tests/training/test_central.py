@@ -15,7 +15,6 @@ from safetensors.numpy import load_file
 
 from conf import Config, weight_shapes
 from env.mdp.actions import ActionSpace
-from env.mdp.destinations import draw_destinations
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import StepResult, World
@@ -53,8 +52,7 @@ class Spied(World):
 
 
 def world_of(config: Config) -> Spied:
-    destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-    world = Spied(Scenario(config.env, destinations), stream(config.seed, Stream.WORLD))
+    world = Spied(Scenario.drawn(config.env, config.seed), stream(config.seed, Stream.WORLD))
     world.steps = []
     return world
 

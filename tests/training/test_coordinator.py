@@ -408,14 +408,14 @@ def over_tcp(
 ) -> tuple[Any, list[BaseException]]:
     """A run whose robots are behind sockets, each block on a thread of its own."""
     shape = (2, robot_network(config).parameters)
-    first = robot_network(config).initial_weights(stream(config.seed, Stream.WEIGHTS))
+    initial = robot_network(config).initial_pair(stream(config.seed, Stream.WEIGHTS))
     layout = step_layout(config)
     link = LinkServer("127.0.0.1", 0, fingerprint="test", timeout_s=20, layout=layout)
     raised: list[BaseException] = []
 
     def client(block: tuple[int, ...]) -> None:
         robots = CheckpointedRobots(config, block, None)
-        robots.begin(0, np.stack([first, first]))
+        robots.begin(0, initial)
         tokens = [f"secret-{robot}" for robot in block]
         options = {"fingerprint": "test", "timeout_s": 20.0, "n_parameters": shape[1]}
         try:

@@ -11,7 +11,6 @@ import pytest
 from safetensors.numpy import load_file
 
 from conf import Config
-from env.mdp.destinations import draw_destinations
 from env.scenario import Scenario
 from env.seeding import Stream, stream
 from env.world import World
@@ -23,8 +22,8 @@ Tiny = Callable[..., Config]
 
 
 def world_of(config: Config, worlds: int = 1) -> World:
-    destinations = draw_destinations(config.env, stream(config.seed, Stream.DESTINATIONS))
-    world = World(Scenario(config.env, destinations), stream(config.seed, Stream.WORLD), worlds)
+    scenario = Scenario.drawn(config.env, config.seed)
+    world = World(scenario, stream(config.seed, Stream.WORLD), worlds)
     world.reset()
     return world
 

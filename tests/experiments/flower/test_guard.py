@@ -6,12 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from process_helpers import wait_until
 
 from experiments.flower import control, guard, superlink
 from experiments.flower.control import RunState, Status
@@ -24,13 +23,6 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
 SLEEPER = [sys.executable, "-c", "import time; time.sleep(600)"]
 PATIENCE_S = 300.0
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it never happened"
-        time.sleep(0.02)
 
 
 def kill(watched: Guard) -> int:
